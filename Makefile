@@ -1,0 +1,34 @@
+# Everything runs from .venv, which `setup` makes and keeps up to date.
+#   make setup PYTHON=python3.12   choose the Python; said once, it is kept
+#   make demo RATE=5               run the demo at five times real time
+.DEFAULT_GOAL := help
+PYTHON ?=
+RATE ?=
+BIN := .venv/bin
+
+.PHONY: help setup demo test lint colcon clean
+
+help: ## list the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1	\2/' | expand -t 16
+
+setup: ## make .venv: ROS 2 Jazzy (sourced, or from wheels), messages, this package
+	@python3 tools/setup_env.py $(if $(PYTHON),--python $(PYTHON))
+
+demo: setup ## run the demo (RATE: times real time)
+	@$(BIN)/dopslam demo $(if $(RATE),--rate $(RATE))
+
+test: setup ## run the tests
+	@$(BIN)/python -m pytest
+
+lint: setup ## check style and types
+	@$(BIN)/python -m ruff check .
+	@$(BIN)/python -m mypy
+
+colcon: setup ## build both packages into install/ with colcon
+	@. .venv/ros_env.sh && { command -v colcon >/dev/null || \
+	  { echo "colcon is missing: sudo apt install python3-colcon-common-extensions" >&2; exit 1; }; } \
+	  && colcon build
+
+clean: ## remove .venv, what colcon built, and the caches
+	rm -rf .venv build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find dopslam_ros tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,37 @@
+"""Small array helpers that every module of the core shares."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+IntArray: TypeAlias = npt.NDArray[np.int64]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+
+
+def wrap_angle(angle: FloatArray) -> FloatArray:
+    """Angles [rad] brought into (-pi, pi]; NaN stays NaN."""
+    wrapped = np.asarray(np.pi - np.mod(np.pi - angle, 2.0 * np.pi), dtype=np.float64)
+    return wrapped
+
+
+def symmetrise(matrix: FloatArray) -> FloatArray:
+    """The symmetric part of a stack of matrices (..., n, n)."""
+    return 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
+
+
+def block_indices(start: int, blocks: IntArray, size: int) -> IntArray:
+    """Indices of blocks of ``size`` numbers that lie one after the other from ``start`` on.
+
+    Args:
+        start: index of the first number of block 0.
+        blocks: (n,) block numbers.
+        size: numbers in a block.
+
+    Returns:
+        (n, size) indices.
+    """
+    return start + size * blocks[:, None] + np.arange(size)

@@ -1,0 +1,191 @@
+"""Posterior Cramer-Rao bounds of the joint vehicle and map state (Section III)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
+from dopslam_ros.core.channel import DIM, DOPPLER, Paths
+from dopslam_ros.core.model import ModelParameters
+from dopslam_ros.core.motion import ControlSpan, propagate_spans
+
+# Standard deviation of a landmark before its first path [m]: no information, but invertible.
+DIFFUSE_STD = 1e4
+# A landmark whose bound is larger than this [m] is one that the measurements cannot locate.
+UNLOCATED = 0.1 * DIFFUSE_STD
+
+
+@dataclass(frozen=True)
+class BoundState:
+    """What the recursion carries from one snapshot to the next.
+
+    Attributes:
+        covariance: (n, n) inverse of the PIM, J^-1, over [s; x of the landmarks seen].
+        ids: (L,) the landmarks in it, in the order of their blocks.
+    """
+
+    covariance: FloatArray
+    ids: IntArray
+
+
+class Bounds(NamedTuple):
+    """Bounds after a snapshot.
+
+    Attributes:
+        peb: position [m].
+        heb: heading [rad].
+        ceb: clock bias [m].
+        leb: (M,) each landmark asked for [m]; infinity until it was seen.
+    """
+
+    peb: float
+    heb: float
+    ceb: float
+    leb: FloatArray
+
+
+class InformationSplit(NamedTuple):
+    """Data information with and without the part that Doppler brings, eqs. (22), (23).
+
+    Attributes:
+        ue: (4, 4) non-Doppler part of sum A' R^-1 A.
+        ue_doppler: (4, 4) Doppler part.
+        landmark: (M, 3, 3) non-Doppler part of B' R^-1 B.
+        landmark_doppler: (M, 3, 3) Doppler part.
+    """
+
+    ue: FloatArray
+    ue_doppler: FloatArray
+    landmark: FloatArray
+    landmark_doppler: FloatArray
+
+
+def initial_bound(initial_covariance: FloatArray) -> BoundState:
+    """The recursion before the first snapshot: the prior of the vehicle, no landmark."""
+    return BoundState(np.array(initial_covariance), np.zeros(0, dtype=np.int64))
+
+
+def predict_bound(
+    state: BoundState, ue: FloatArray, spans: Sequence[ControlSpan], noise_rate: FloatArray
+) -> BoundState:
+    """J_prior of eq. (19) as a covariance: Q + F J^-1 F', the map does not move.
+
+    Args:
+        state: before.
+        ue: (4,) the true state before, where F is evaluated.
+        spans: the controls since then.
+        noise_rate: (4,) variance added per second.
+    """
+    _, jacobian, noise = propagate_spans(ue, spans, noise_rate)
+    covariance = np.array(state.covariance)
+    covariance[:4] = jacobian @ covariance[:4]
+    covariance[:, :4] = covariance[:, :4] @ jacobian.T
+    covariance[:4, :4] += noise
+    return BoundState(symmetrise(covariance), state.ids)
+
+
+def update_bound(
+    state: BoundState,
+    paths: Paths,
+    ids: IntArray,
+    is_bs: BoolArray,
+    weights: FloatArray,
+    noise: FloatArray,
+    used: BoolArray,
+) -> BoundState:
+    """J = J_data + J_prior of eq. (19), J_data from the landmarks that are detected.
+
+    Args:
+        state: predicted.
+        paths: h and its Jacobians at the true state, M landmarks.
+        ids: (M,) their ids.
+        is_bs: (M,) the landmark is known and has no block in the state.
+        weights: (M,) share of the information that counts: 1 detected, 0 not, p_D in expectation.
+        noise: (6, 6) or (M, 6, 6) covariance R.
+        used: (6,) the components to count.
+
+    Returns:
+        The state with the landmarks newly seen appended.
+    """
+    seen = (weights > 0.0) & ~paths.degenerate
+    ids, is_bs, weights = ids[seen], is_bs[seen], weights[seen]
+    state = _with_landmarks(state, ids[~is_bs])
+    if not seen.any():
+        return state
+    a = paths.ue_jacobian[seen][:, used]
+    b = paths.landmark_jacobian[seen][:, used]
+    r = np.broadcast_to(noise, (len(seen), DIM, DIM))[seen][:, used][:, :, used]
+
+    rows = np.zeros((len(ids), a.shape[1], len(state.covariance)))
+    rows[:, :, :4] = a
+    block = {landmark: number for number, landmark in enumerate(state.ids.tolist())}
+    for row in np.flatnonzero(~is_bs):
+        start = 4 + 3 * block[int(ids[row])]
+        rows[row, :, start : start + 3] = b[row]
+    weighted = weights[:, None, None] * np.linalg.solve(r, rows)
+    n = len(state.covariance)
+    data = rows.reshape(-1, n).T @ weighted.reshape(-1, n)
+    return BoundState(_add_information(state.covariance, data), state.ids)
+
+
+def bounds_of(state: BoundState, ids: IntArray) -> Bounds:
+    """PEB, HEB, CEB and, for the landmarks asked for, LEB (below eq. 19)."""
+    variance = np.diagonal(state.covariance)
+    number = {landmark: i for i, landmark in enumerate(state.ids.tolist())}
+    leb = np.full(len(ids), np.inf)
+    for row, landmark in enumerate(ids.tolist()):
+        if landmark in number:
+            start = 4 + 3 * number[landmark]
+            bound = float(np.sqrt(variance[start : start + 3].sum()))
+            leb[row] = bound if bound < UNLOCATED else np.inf
+    return Bounds(
+        peb=float(np.sqrt(variance[0] + variance[1])),
+        heb=float(np.sqrt(variance[2])),
+        ceb=float(np.sqrt(variance[3])),
+        leb=leb,
+    )
+
+
+def information_split(paths: Paths, model: ModelParameters) -> InformationSplit:
+    """What Doppler adds to the data information of vehicle and landmarks, eqs. (22), (23)."""
+    precision = np.where(model.used_components, 1.0 / np.square(model.measurement_noise_std), 0.0)
+    doppler = np.arange(DIM) == DOPPLER
+
+    def information(jacobian: FloatArray, rows: BoolArray) -> FloatArray:
+        weights = np.where(rows, precision, 0.0)
+        return np.asarray(np.einsum("mki,k,mkj->mij", jacobian, weights, jacobian))
+
+    return InformationSplit(
+        ue=information(paths.ue_jacobian, ~doppler).sum(axis=0),
+        ue_doppler=information(paths.ue_jacobian, doppler).sum(axis=0),
+        landmark=information(paths.landmark_jacobian, ~doppler),
+        landmark_doppler=information(paths.landmark_jacobian, doppler),
+    )
+
+
+def _with_landmarks(state: BoundState, ids: IntArray) -> BoundState:
+    """Appends the landmarks that are not in the state yet, with a diffuse prior."""
+    new = ids[~np.isin(ids, state.ids)]
+    if not len(new):
+        return state
+    old = len(state.covariance)
+    covariance = np.zeros((old + 3 * len(new),) * 2)
+    covariance[:old, :old] = state.covariance
+    fresh = block_indices(old, np.arange(len(new)), 3).ravel()
+    covariance[fresh, fresh] = DIFFUSE_STD**2
+    return BoundState(covariance, np.concatenate([state.ids, new]))
+
+
+def _add_information(covariance: FloatArray, data: FloatArray) -> FloatArray:
+    """(covariance^-1 + data)^-1 through a Cholesky factor, so that nothing tiny is inverted.
+
+    With covariance = L L' it is L (I + L' data L)^-1 L': the matrix that is solved has no
+    eigenvalue below one, however diffuse a landmark is.
+    """
+    factor = np.linalg.cholesky(covariance)
+    inner = np.eye(len(covariance)) + symmetrise(factor.T @ data @ factor)
+    return symmetrise(factor @ np.linalg.solve(inner, factor.T))

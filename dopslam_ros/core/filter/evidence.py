@@ -1,0 +1,148 @@
+"""How well each path fits each landmark component: the local weights of the PMB update."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, symmetrise
+from dopslam_ros.core.channel import DIM, LandmarkType, Paths, observe, residual
+from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
+from dopslam_ros.core.measurements import MeasurementSet
+from dopslam_ros.core.model import detection_probabilities
+
+LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A measurement set prepared for linear algebra.
+
+    Components that were not measured, or are not used, get a zero innovation, zero Jacobian rows
+    and unit variance: they drop out of every density without a special case.
+
+    Attributes:
+        values: (J, 6), NaN where not measured or not used.
+        used: (J, 6) which components count.
+        noise: (J, 6, 6) covariance R, unit where not used.
+    """
+
+    values: FloatArray
+    used: BoolArray
+    noise: FloatArray
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Each path against the BS (source 0) and the components (sources 1 ... C).
+
+    Attributes:
+        paths: h and Jacobians of the C + 1 sources.
+        detection: (C + 1,) p_D.
+        innovation: (C + 1, J, 6) z - h, zero where not used.
+        log_likelihood: (C + 1, J) ln N(z; h, S); -inf outside the gate.
+        mahalanobis: (C + 1, J) squared distance.
+    """
+
+    paths: Paths
+    detection: FloatArray
+    innovation: FloatArray
+    log_likelihood: FloatArray
+    mahalanobis: FloatArray
+
+
+def prepare(measurements: MeasurementSet, parameters: FilterParameters) -> Observed:
+    """Fills in the parameter's covariance where a path has none and masks what is not used."""
+    used = measurements.measured & parameters.used_components
+    given = (measurements.covariances != 0.0).any(axis=(1, 2))
+    noise = np.where(given[:, None, None], measurements.covariances, parameters.noise)
+    both = used[:, :, None] & used[:, None, :]
+    return Observed(
+        values=np.where(used, measurements.values, np.nan),
+        used=used,
+        noise=symmetrise(np.where(both, noise, np.eye(DIM))),
+    )
+
+
+def masked_residual(observed: Observed, expected: FloatArray) -> FloatArray:
+    """z - h (..., J, 6) for h (..., J or 1, 6), zero where not used."""
+    return np.nan_to_num(residual(observed.values, expected), nan=0.0)
+
+
+def log_normaliser(observed: Observed) -> FloatArray:
+    """(J,) d ln(2 pi) with d the number of components that count."""
+    return observed.used.sum(axis=1) * LOG_2PI
+
+
+def weigh(
+    state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
+) -> Evidence:
+    """Local likelihoods N(z_j; h_i, S_i) with S = A P A' + B P B' + cross terms + R.
+
+    Args:
+        state: predicted.
+        observed: J paths.
+        speed: v at the snapshot [m/s].
+        parameters: gate, p_D and noise.
+    """
+    positions = np.vstack([parameters.bs, state.positions])
+    types = np.concatenate([[int(LandmarkType.BS)], state.component_type]).astype(np.int64)
+    paths = observe(
+        state.ue_mean, speed, positions, types, parameters.bs, parameters.ue_height
+    )
+    innovation_covariance = _projected_covariance(state, paths)
+    spread = _distance_std(state, positions, parameters)
+    ue = np.append(state.ue_mean[:2], parameters.ue_height)
+    detection = detection_probabilities(parameters, ue, positions, types, spread)
+    detection = np.where(paths.degenerate, 0.0, detection)
+
+    both = observed.used[:, :, None] & observed.used[:, None, :]
+    s = np.where(both, innovation_covariance[:, None], 0.0) + observed.noise
+    innovation = masked_residual(observed, paths.mean[:, None, :])
+    mahalanobis, log_determinant = gaussian_terms(s, innovation)
+    log_likelihood = -0.5 * (mahalanobis + log_determinant + log_normaliser(observed))
+    gate = chi2.ppf(parameters.gate_probability, observed.used.sum(axis=1))
+    inside = (mahalanobis <= gate) & ~paths.degenerate[:, None]
+    return Evidence(
+        paths, detection, innovation, np.where(inside, log_likelihood, -np.inf), mahalanobis
+    )
+
+
+def gaussian_terms(covariance: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Squared Mahalanobis distance and ln det of stacks (..., d, d) and (..., d)."""
+    factor = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(factor, vector[..., None])[..., 0]
+    diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
+    return np.sum(white**2, axis=-1), 2.0 * np.sum(np.log(diagonal), axis=-1)
+
+
+def _projected_covariance(state: FilterState, paths: Paths) -> FloatArray:
+    """(C + 1, 6, 6) covariance of h from what is uncertain in the state, without R."""
+    a, b = paths.ue_jacobian, paths.landmark_jacobian[1:]
+    projected = a @ state.ue_covariance @ np.swapaxes(a, 1, 2)
+    cross = a[1:] @ state.cross_covariances @ np.swapaxes(b, 1, 2)
+    projected[1:] += b @ state.position_covariances @ np.swapaxes(b, 1, 2)
+    projected[1:] += cross + np.swapaxes(cross, 1, 2)
+    return symmetrise(projected)
+
+
+def _distance_std(
+    state: FilterState, positions: FloatArray, parameters: FilterParameters
+) -> FloatArray:
+    """(C + 1,) standard deviation of the distance between vehicle and source [m]."""
+    offset = positions - np.append(state.ue_mean[:2], parameters.ue_height)
+    direction = offset / np.maximum(np.linalg.norm(offset, axis=1), 1e-6)[:, None]
+    covariance = np.zeros((len(positions), 3, 3))
+    covariance[:, :2, :2] = state.ue_covariance[:2, :2]
+    cross = np.zeros((len(positions) - 1, 3, 3))
+    cross[:, :2] = state.cross_covariances[:, :2]
+    covariance[1:] += state.position_covariances - cross - np.swapaxes(cross, 1, 2)
+    variance = np.einsum("mi,mij,mj->m", direction, covariance, direction)
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def source_tracks(state: FilterState) -> IntArray:
+    """(C + 1,) the row of the association problem each source belongs to: 0 the BS, then tracks."""
+    return np.concatenate([[0], state.component_track + 1]).astype(np.int64)

@@ -1,0 +1,191 @@
+"""What the filter knows and how it is set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices
+from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.model import OnlineParameters
+from dopslam_ros.core.parameters import parameter
+
+# The types that a landmark of unknown type may have; a BS is always known.
+UNKNOWN_TYPES = (int(LandmarkType.VA), int(LandmarkType.SP))
+UE = 4
+
+
+@dataclass(frozen=True)
+class FilterParameters(OnlineParameters):
+    """Settings of the EK-PMB filter beside the models."""
+
+    gamma: int = parameter(
+        10, "Number of best data associations kept in a step.", low=1, high=1000
+    )
+    coupling: str = parameter(
+        "joint",
+        "Whether the correlation between vehicle and map is kept from step to step (joint) or"
+        " dropped as in the paper (marginal).",
+        choices=("joint", "marginal"),
+    )
+    gate_probability: float = parameter(
+        0.9999,
+        "Probability that a path lies inside the gate of its landmark.",
+        low=0.5,
+        high=1.0 - 1e-12,
+    )
+    undetected_intensity: float = parameter(
+        1.5e-5,
+        "Intensity of landmarks never detected so far, of each type, before the first snapshot.",
+        unit="1/m^3",
+        low=1e-15,
+        high=1.0,
+    )
+    undetected_floor: float = parameter(
+        1e-3,
+        "Share of undetected_intensity that remains however often nothing was detected: walls may"
+        " come into sight at any time.",
+        low=1e-12,
+        high=1.0,
+    )
+    landmark_height_mean: float = parameter(
+        20.0, "Mean of the weak prior on the height of a new landmark.", unit="m"
+    )
+    landmark_height_std: float = parameter(
+        50.0, "Standard deviation of the weak prior on the height.", unit="m", low=1e-3
+    )
+    prune_existence: float = parameter(
+        1e-4, "Landmarks less likely to exist than this are dropped.", low=0.0, high=0.5
+    )
+    prune_type: float = parameter(
+        1e-3, "Type hypotheses less likely than this are dropped.", low=0.0, high=0.3
+    )
+    report_existence: float = parameter(
+        0.5,
+        "Landmarks more likely to exist than this are reported in the map.",
+        low=0.0,
+        high=1.0,
+    )
+    report_std: float = parameter(
+        10.0,
+        "Landmarks whose position is known worse than this (root of the covariance's trace) are"
+        " not reported yet.",
+        unit="m",
+        low=1e-3,
+    )
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """The PMB density: one Gaussian over vehicle and landmark components, and the rest per landmark.
+
+    A landmark (track) has a component for each type it may still be. The joint vector is
+    [s; x_1 ... x_C]; with ``coupling: marginal`` the covariance is block diagonal between steps.
+
+    Attributes:
+        mean: (4 + 3 C,) x [m], y [m], heading [rad], clock bias [m], then positions [m].
+        covariance: (4 + 3 C, 4 + 3 C).
+        component_track: (C,) index of the track each component belongs to, ascending.
+        component_type: (C,) VA or SP.
+        component_weight: (C,) probability of the type, given that the track exists.
+        track_id: (T,) stable ids, from 1 on (0 is the BS).
+        existence: (T,) probability that the landmark exists, r.
+        undetected: (2,) intensity of undetected landmarks of UNKNOWN_TYPES [1/m^3].
+        next_id: the id of the next new track.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    component_track: IntArray
+    component_type: IntArray
+    component_weight: FloatArray
+    track_id: IntArray
+    existence: FloatArray
+    undetected: FloatArray
+    next_id: int
+
+    @property
+    def ue_mean(self) -> FloatArray:
+        """(4,) estimate of the vehicle."""
+        return self.mean[:UE]
+
+    @property
+    def ue_covariance(self) -> FloatArray:
+        """(4, 4) its covariance."""
+        return self.covariance[:UE, :UE]
+
+    @property
+    def positions(self) -> FloatArray:
+        """(C, 3) component means."""
+        return self.mean[UE:].reshape(-1, 3)
+
+    @property
+    def position_covariances(self) -> FloatArray:
+        """(C, 3, 3) component covariances."""
+        index = block_indices(UE, np.arange(len(self.component_track)), 3)
+        return self.covariance[index[:, :, None], index[:, None, :]]
+
+    @property
+    def cross_covariances(self) -> FloatArray:
+        """(C, 4, 3) covariances between the vehicle and each component."""
+        return np.moveaxis(self.covariance[:UE, UE:].reshape(UE, -1, 3), 1, 0)
+
+
+def initial_filter_state(parameters: FilterParameters) -> FilterState:
+    """The density before the first snapshot: the prior of the vehicle and an unknown map."""
+    none = np.zeros(0, dtype=np.int64)
+    return FilterState(
+        mean=np.array(parameters.initial_state),
+        covariance=parameters.initial_covariance,
+        component_track=none,
+        component_type=none,
+        component_weight=np.zeros(0),
+        track_id=none,
+        existence=np.zeros(0),
+        undetected=np.full(len(UNKNOWN_TYPES), parameters.undetected_intensity),
+        next_id=1,
+    )
+
+
+@dataclass(frozen=True)
+class LandmarkEstimates:
+    """The landmarks that are reported, the BS not among them.
+
+    Attributes:
+        ids: (L,) stable ids.
+        types: (L,) most probable type.
+        type_probabilities: (L, 3) in the order of LandmarkType.
+        existence: (L,) probabilities.
+        positions: (L, 3) [m], given the type.
+        covariances: (L, 3, 3) [m^2].
+    """
+
+    ids: IntArray
+    types: IntArray
+    type_probabilities: FloatArray
+    existence: FloatArray
+    positions: FloatArray
+    covariances: FloatArray
+
+
+def reported_landmarks(state: FilterState, parameters: FilterParameters) -> LandmarkEstimates:
+    """The map as it is shown: landmarks that surely exist and whose place is known."""
+    tracks = len(state.track_id)
+    probabilities = np.zeros((tracks, len(LandmarkType)))
+    probabilities[state.component_track, state.component_type] = state.component_weight
+    best = np.zeros(tracks, dtype=np.int64)
+    # Ascending weight: the heaviest component of a track is written last.
+    order = np.argsort(state.component_weight, kind="stable")
+    best[state.component_track[order]] = order
+    covariances = state.position_covariances[best]
+    spread = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+    shown = (state.existence >= parameters.report_existence) & (spread <= parameters.report_std)
+    return LandmarkEstimates(
+        ids=state.track_id[shown],
+        types=state.component_type[best][shown],
+        type_probabilities=probabilities[shown],
+        existence=state.existence[shown],
+        positions=state.positions[best][shown],
+        covariances=covariances[shown],
+    )

@@ -1,0 +1,166 @@
+"""A filter that knows which path came from which landmark: the best any association can do.
+
+A baseline for studies and the oracle that the bounds are checked against; it reads the true sources.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices, symmetrise, wrap_angle
+from dopslam_ros.core.bounds import DIFFUSE_STD
+from dopslam_ros.core.channel import DIM, LandmarkType, observe
+from dopslam_ros.core.filter.birth import propose
+from dopslam_ros.core.filter.evidence import Observed, masked_residual, prepare
+from dopslam_ros.core.filter.state import (
+    UE,
+    UNKNOWN_TYPES,
+    FilterParameters,
+    initial_filter_state,
+)
+from dopslam_ros.core.measurements import MeasurementSet
+from dopslam_ros.core.motion import ControlSpan, propagate_spans
+from dopslam_ros.core.simulator import CLUTTER
+
+ITERATIONS = 5
+
+
+@dataclass(frozen=True)
+class GenieState:
+    """Joint Gaussian over [s; x of the landmarks seen].
+
+    Attributes:
+        mean: (4 + 3 L,).
+        covariance: (4 + 3 L, 4 + 3 L).
+        sources: (L,) source number of each landmark, as in Snapshot.sources.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    sources: IntArray
+
+
+def initial_genie(parameters: FilterParameters) -> GenieState:
+    """The prior of the vehicle, no landmark."""
+    return GenieState(
+        np.array(parameters.initial_state),
+        parameters.initial_covariance,
+        np.zeros(0, dtype=np.int64),
+    )
+
+
+def genie_step(
+    state: GenieState,
+    measurements: MeasurementSet,
+    sources: IntArray,
+    types: IntArray,
+    spans: Sequence[ControlSpan],
+    speed: float,
+    parameters: FilterParameters,
+) -> GenieState:
+    """Predict, then one iterated joint EKF update with the true association.
+
+    Args:
+        state: before.
+        measurements: the snapshot, J paths.
+        sources: (J,) true source of each path: 0 the BS, i landmark i, or CLUTTER.
+        types: (1 + I,) true types by source number.
+        spans: controls since the previous snapshot.
+        speed: v at the snapshot [m/s].
+        parameters: models.
+    """
+    ue, jacobian, noise = propagate_spans(state.mean[:UE], spans, parameters.noise_rate)
+    mean, covariance = state.mean.copy(), state.covariance.copy()
+    mean[:UE] = ue
+    covariance[:UE] = jacobian @ covariance[:UE]
+    covariance[:, :UE] = covariance[:, :UE] @ jacobian.T
+    covariance[:UE, :UE] += noise
+    real = sources != CLUTTER
+    observed = prepare(
+        MeasurementSet(measurements.values[real], measurements.covariances[real]), parameters
+    )
+    predicted = GenieState(mean, covariance, state.sources)
+    ready, kept = _with_new_landmarks(
+        predicted, observed, sources[real], types, speed, parameters
+    )
+    observed = Observed(observed.values[kept], observed.used[kept], observed.noise[kept])
+    return _update(ready, observed, sources[real][kept], types, speed, parameters)
+
+
+def _with_new_landmarks(
+    state: GenieState,
+    observed: Observed,
+    sources: IntArray,
+    types: IntArray,
+    speed: float,
+    parameters: FilterParameters,
+) -> tuple[GenieState, IntArray]:
+    """Appends landmarks never seen, diffuse, where their path puts them; and the usable paths."""
+    base = initial_filter_state(parameters)
+    object.__setattr__(base, "mean", state.mean[:UE])
+    object.__setattr__(base, "covariance", state.covariance[:UE, :UE])
+    births = propose(base, observed, speed, parameters)
+    new, kept = [], []
+    for path, source in enumerate(sources.tolist()):
+        if source == 0 or source in state.sources:
+            kept.append(path)
+            continue
+        kind = UNKNOWN_TYPES.index(int(types[source]))
+        if np.isfinite(births.log_intensity[kind, path]):
+            kept.append(path)
+            new.append((source, births.position[kind, path]))
+    old = len(state.mean)
+    covariance = np.eye(old + 3 * len(new)) * DIFFUSE_STD**2
+    covariance[:old, :old] = state.covariance
+    mean = np.concatenate([state.mean, *(position for _, position in new)])
+    known = np.concatenate([state.sources, [source for source, _ in new]]).astype(np.int64)
+    return GenieState(mean, covariance, known), np.array(kept, dtype=np.int64)
+
+
+def _update(
+    state: GenieState,
+    observed: Observed,
+    sources: IntArray,
+    types: IntArray,
+    speed: float,
+    parameters: FilterParameters,
+) -> GenieState:
+    if not len(sources):
+        return state
+    size, count = len(state.mean), len(sources)
+    is_bs = sources == 0
+    place = np.array([0 if s == 0 else int(np.flatnonzero(state.sources == s)[0]) for s in sources])
+    columns = block_indices(UE, place, 3)
+    kinds = np.where(is_bs, int(LandmarkType.BS), types[sources])
+    noise = np.zeros((count * DIM, count * DIM))
+    for path in range(count):
+        block = slice(DIM * path, DIM * path + DIM)
+        noise[block, block] = observed.noise[path]
+    mean = state.mean
+    for _ in range(ITERATIONS):
+        positions = np.where(is_bs[:, None], parameters.bs, mean[np.minimum(columns, size - 1)])
+        paths = observe(mean[:UE], speed, positions, kinds, parameters.bs, parameters.ue_height)
+        rows = np.zeros((count, DIM, size))
+        rows[:, :, :UE] = paths.ue_jacobian
+        for path in np.flatnonzero(~is_bs):
+            rows[path][:, columns[path]] = paths.landmark_jacobian[path]
+        rows = (rows * observed.used[:, :, None]).reshape(-1, size)
+        innovation = masked_residual(observed, paths.mean).ravel()
+        innovation = innovation + rows @ _difference(mean, state.mean)
+        projected = rows @ state.covariance
+        gain = np.linalg.solve(symmetrise(projected @ rows.T + noise), projected).T
+        mean = state.mean + gain @ innovation
+    keep = np.eye(size) - gain @ rows
+    covariance = symmetrise(keep @ state.covariance @ keep.T + gain @ noise @ gain.T)
+    mean = mean.copy()
+    mean[2] = wrap_angle(mean[2])
+    return GenieState(mean, covariance, state.sources)
+
+
+def _difference(mean: FloatArray, prior: FloatArray) -> FloatArray:
+    difference = mean - prior
+    difference[2] = wrap_angle(difference[2])
+    return difference

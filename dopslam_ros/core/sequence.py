@@ -1,0 +1,162 @@
+"""Puts what arrives in the order of its stamps and finds the controls that lie between.
+
+Snapshots and controls travel on different topics and overtake each other. A snapshot is released
+once a control from its own time or later has arrived, because only then can no control before it be
+on its way. What is released depends on stamps and on the order within each topic, never on how the
+topics interleave; so a live run and its replay process the same things.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from dopslam_ros.core.motion import Control, ControlSpan
+
+Item = TypeVar("Item")
+
+# Snapshots that wait for controls; more than this many and the oldest is released as it is.
+MOST_PENDING = 1000
+# Plausible controls [m/s], [rad/s].
+FASTEST = 1e4
+FASTEST_TURN = 1e3
+
+
+class Refused(ValueError):
+    """An input that is not used.
+
+    Attributes:
+        reason: a short key to count by.
+    """
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Timed(Generic[Item]):
+    """An item with what the vehicle did before it.
+
+    Attributes:
+        stamp_ns: its time.
+        item: as it was added.
+        spans: the controls since the item before; empty for the first one.
+        control: the control valid at the item's time, or None if none is known.
+        complete: whether every control that was needed had arrived.
+    """
+
+    stamp_ns: int
+    item: Item
+    spans: tuple[ControlSpan, ...]
+    control: Control | None
+    complete: bool
+
+
+class Sequencer(Generic[Item]):
+    """Orders items by stamp, each with the controls since the one before.
+
+    Args:
+        wait: how far [s] the newest item may be ahead of one that still waits for its control
+            before that one is released without.
+    """
+
+    def __init__(self, wait: float) -> None:
+        self._wait_ns = round(wait * 1e9)
+        self._stamps: list[int] = []
+        self._items: list[Item] = []
+        self._control_stamps: list[int] = []
+        self._controls: list[Control] = []
+        self._last_ns: int | None = None
+
+    @property
+    def pending(self) -> int:
+        """How many items wait."""
+        return len(self._items)
+
+    def add_control(self, stamp_ns: int, speed: float, turn_rate: float) -> None:
+        """A control, valid from its stamp until the next.
+
+        Raises:
+            Refused: not a plausible number, or not newer than the control before.
+        """
+        plausible = abs(speed) <= FASTEST and abs(turn_rate) <= FASTEST_TURN
+        if not (math.isfinite(speed) and math.isfinite(turn_rate) and plausible):
+            raise Refused(
+                "invalid_control",
+                f"control (speed {speed:g} m/s, turn rate {turn_rate:g} rad/s) is not usable:"
+                " linear.x and angular.z must be finite",
+            )
+        if self._control_stamps and stamp_ns <= self._control_stamps[-1]:
+            raise Refused(
+                "backward_control",
+                f"control at {_seconds(stamp_ns)} is not newer than the one at"
+                f" {_seconds(self._control_stamps[-1])}: stamps must increase",
+            )
+        self._control_stamps.append(stamp_ns)
+        self._controls.append(Control(speed, turn_rate))
+
+    def add(self, stamp_ns: int, item: Item) -> None:
+        """An item to release in its turn.
+
+        Raises:
+            Refused: its time is not later than that of the last one released, or is already there.
+        """
+        if self._last_ns is not None and stamp_ns <= self._last_ns:
+            raise Refused(
+                "backward_time",
+                f"stamp {_seconds(stamp_ns)} is not later than {_seconds(self._last_ns)}, which is"
+                " processed already",
+            )
+        place = bisect.bisect_left(self._stamps, stamp_ns)
+        if place < len(self._stamps) and self._stamps[place] == stamp_ns:
+            raise Refused("duplicate_stamp", f"a second item has the stamp {_seconds(stamp_ns)}")
+        self._stamps.insert(place, stamp_ns)
+        self._items.insert(place, item)
+
+    def ready(self) -> Iterator[Timed[Item]]:
+        """Releases what need not wait any longer, in order."""
+        while self._stamps:
+            covered = bool(self._control_stamps) and self._control_stamps[-1] >= self._stamps[0]
+            overdue = self._stamps[-1] - self._stamps[0] >= self._wait_ns
+            if not (covered or overdue or len(self._stamps) > MOST_PENDING):
+                return
+            yield self._release(covered)
+
+    def flush(self) -> Iterator[Timed[Item]]:
+        """Releases everything: no more inputs will come."""
+        yield from self.ready()
+        while self._stamps:
+            yield self._release(complete=False)
+
+    def _release(self, complete: bool) -> Timed[Item]:
+        stamp, item = self._stamps.pop(0), self._items.pop(0)
+        spans = () if self._last_ns is None else self._spans(self._last_ns, stamp)
+        current = bisect.bisect_right(self._control_stamps, stamp) - 1
+        control = self._controls[current] if current >= 0 else None
+        self._last_ns = stamp
+        del self._control_stamps[: max(current, 0)], self._controls[: max(current, 0)]
+        known = control is not None and all(span.control is not _UNKNOWN for span in spans)
+        return Timed(stamp, item, spans, control, complete and known)
+
+    def _spans(self, start: int, end: int) -> tuple[ControlSpan, ...]:
+        """The controls between two times; before the first one the vehicle is taken to stand."""
+        first = bisect.bisect_right(self._control_stamps, start)
+        last = bisect.bisect_left(self._control_stamps, end)
+        edges = [start, *self._control_stamps[first:last], end]
+        before = self._controls[first - 1] if first > 0 else _UNKNOWN
+        controls = [before, *self._controls[first:last]]
+        return tuple(
+            ControlSpan(control, (after - ahead) * 1e-9)
+            for control, ahead, after in zip(controls, edges, edges[1:], strict=False)
+        )
+
+
+_UNKNOWN = Control(0.0, 0.0)
+
+
+def _seconds(stamp_ns: int) -> str:
+    return f"{stamp_ns // 1_000_000_000}.{stamp_ns % 1_000_000_000:09d} s"

@@ -1,0 +1,273 @@
+"""The filter and the bounds over time: inputs in any order go in, results in order come out.
+
+The node and the offline replay run exactly these classes. They hold the state between calls and
+count what was refused; all mathematics is in pure functions elsewhere.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
+from dopslam_ros.core.bounds import (
+    Bounds,
+    bounds_of,
+    initial_bound,
+    predict_bound,
+    update_bound,
+)
+from dopslam_ros.core.channel import DOPPLER, LandmarkType, observe
+from dopslam_ros.core.filter import (
+    Associations,
+    FilterParameters,
+    FilterState,
+    LandmarkEstimates,
+    initial_filter_state,
+    reported_landmarks,
+    step,
+)
+from dopslam_ros.core.measurements import MeasurementSet
+from dopslam_ros.core.model import OnlineParameters, detection_probabilities, with_doppler_std
+from dopslam_ros.core.motion import Control, ControlSpan
+from dopslam_ros.core.parameters import parameter
+from dopslam_ros.core.sequence import Sequencer, Timed
+
+
+@dataclass(frozen=True)
+class FilterOutput:
+    """What the filter says after a snapshot.
+
+    Attributes:
+        stamp_ns: time of the snapshot.
+        state: posterior density.
+        landmarks: the map to report.
+        control: what the vehicle does at that time; zeros if unknown.
+        associations: the hypotheses behind it.
+        step_seconds: time that the computation took.
+    """
+
+    stamp_ns: int
+    state: FilterState
+    landmarks: LandmarkEstimates
+    control: Control
+    associations: Associations
+    step_seconds: float
+
+
+class FilterSession:
+    """The EK-PMB filter fed with measurement sets and controls.
+
+    Attributes:
+        problems: how often each kind of trouble was met while filtering.
+    """
+
+    def __init__(self, parameters: FilterParameters) -> None:
+        self.parameters = parameters
+        self.problems: Counter[str] = Counter()
+        self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters.control_wait)
+        self._state = initial_filter_state(parameters)
+        self._owed: tuple[ControlSpan, ...] = ()
+
+    @property
+    def state(self) -> FilterState:
+        """The density after the last snapshot processed."""
+        return self._state
+
+    @property
+    def pending(self) -> int:
+        """Sets that wait for their control."""
+        return self._sequencer.pending
+
+    def add_control(
+        self, stamp_ns: int, speed: float, turn_rate: float
+    ) -> Iterator[FilterOutput]:
+        """A control; yields the results it was waited for.
+
+        Raises:
+            Refused: the control cannot be used.
+        """
+        self._sequencer.add_control(stamp_ns, speed, turn_rate)
+        return self._process(self._sequencer.ready())
+
+    def add_measurements(
+        self, stamp_ns: int, measurements: MeasurementSet
+    ) -> Iterator[FilterOutput]:
+        """A measurement set; yields the results that are due.
+
+        Raises:
+            Refused: the set cannot be used.
+        """
+        self._sequencer.add(stamp_ns, measurements)
+        return self._process(self._sequencer.ready())
+
+    def flush(self) -> Iterator[FilterOutput]:
+        """Processes what still waits: no more inputs will come."""
+        return self._process(self._sequencer.flush())
+
+    def _process(self, due: Iterable[Timed[MeasurementSet]]) -> Iterator[FilterOutput]:
+        for timed in due:
+            output = self._step(timed)
+            if output is not None:
+                yield output
+
+    def _step(self, timed: Timed[MeasurementSet]) -> FilterOutput | None:
+        started = time.perf_counter()
+        if not timed.complete:
+            self.problems["missing_control"] += 1
+        if not len(timed.item):
+            self.problems["empty_set"] += 1
+        measurements = timed.item if timed.control is not None else _without_doppler(timed.item)
+        control = timed.control or Control(0.0, 0.0)
+        spans = self._owed + timed.spans
+        try:
+            result = step(self._state, measurements, spans, control.speed, self.parameters)
+            sound = bool(
+                np.isfinite(result.state.mean).all() and np.isfinite(result.state.covariance).all()
+            )
+        except np.linalg.LinAlgError:
+            sound = False
+        if not sound:
+            # Keep the last good state; the next step makes up for the motion since.
+            self.problems["numerical_failure"] += 1
+            self._owed = spans
+            return None
+        self._owed = ()
+        self._state = result.state
+        return FilterOutput(
+            stamp_ns=timed.stamp_ns,
+            state=result.state,
+            landmarks=reported_landmarks(result.state, self.parameters),
+            control=control,
+            associations=result.associations,
+            step_seconds=time.perf_counter() - started,
+        )
+
+
+def _without_doppler(measurements: MeasurementSet) -> MeasurementSet:
+    """Doppler says nothing while the speed is unknown."""
+    values = measurements.values.copy()
+    values[:, DOPPLER] = np.nan
+    some = np.isfinite(values).any(axis=1)
+    return MeasurementSet(values[some], measurements.covariances[some])
+
+
+@dataclass(frozen=True)
+class BoundsParameters(OnlineParameters):
+    """Settings of the bounds beside the models."""
+
+    source: str = parameter(
+        "auto",
+        "Where the bounds are evaluated: at the truth, at the filter's estimate, or auto: at the"
+        " truth when somebody publishes it.",
+        choices=("auto", "truth", "estimate"),
+    )
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """Where vehicle and landmarks are, to evaluate the bounds at.
+
+    Attributes:
+        ue: (4,) state of the vehicle.
+        ids: (M,) ids of the landmarks.
+        types: (M,) LandmarkType; a BS among them or not.
+        positions: (M, 3) [m].
+        detected: (M,) which had a path, when that is known; None: p_D of the model, in expectation.
+    """
+
+    ue: FloatArray
+    ids: IntArray
+    types: IntArray
+    positions: FloatArray
+    detected: BoolArray | None = None
+
+
+@dataclass(frozen=True)
+class BoundsOutput:
+    """Bounds after a snapshot.
+
+    Attributes:
+        stamp_ns: time of the snapshot.
+        ids: (M,) landmarks, the BS not among them.
+        types: (M,) LandmarkType.
+        with_doppler: bounds with everything that is measured.
+        without_doppler: the same less the Doppler.
+    """
+
+    stamp_ns: int
+    ids: IntArray
+    types: IntArray
+    with_doppler: Bounds
+    without_doppler: Bounds
+
+
+class BoundsSession:
+    """The recursion of the PIM fed with states and controls, with and without Doppler."""
+
+    def __init__(self, parameters: BoundsParameters) -> None:
+        self.parameters = parameters
+        self.problems: Counter[str] = Counter()
+        self._models = (parameters, with_doppler_std(parameters, None))
+        self._states = [initial_bound(parameters.initial_covariance) for _ in self._models]
+        self._sequencer: Sequencer[WorldState] = Sequencer(parameters.control_wait)
+        self._ue: FloatArray | None = None
+
+    @property
+    def pending(self) -> int:
+        """States that wait for their control."""
+        return self._sequencer.pending
+
+    def add_control(
+        self, stamp_ns: int, speed: float, turn_rate: float
+    ) -> Iterator[BoundsOutput]:
+        """A control; yields the bounds it was waited for. Raises Refused."""
+        self._sequencer.add_control(stamp_ns, speed, turn_rate)
+        return map(self._step, self._sequencer.ready())
+
+    def add_world(self, stamp_ns: int, world: WorldState) -> Iterator[BoundsOutput]:
+        """The state at a snapshot; yields the bounds that are due. Raises Refused."""
+        self._sequencer.add(stamp_ns, world)
+        return map(self._step, self._sequencer.ready())
+
+    def flush(self) -> Iterator[BoundsOutput]:
+        """Processes what still waits."""
+        return map(self._step, self._sequencer.flush())
+
+    def _step(self, timed: Timed[WorldState]) -> BoundsOutput:
+        if not timed.complete:
+            self.problems["missing_control"] += 1
+        world, model = timed.item, self.parameters
+        # The BS takes part once, whether or not the map lists it.
+        listed = world.types != LandmarkType.BS
+        ids = np.concatenate([[-1], world.ids[listed]]).astype(np.int64)
+        types = np.concatenate([[int(LandmarkType.BS)], world.types[listed]]).astype(np.int64)
+        positions = np.vstack([model.bs, world.positions[listed]])
+        speed = timed.control.speed if timed.control else 0.0
+        paths = observe(world.ue, speed, positions, types, model.bs, model.ue_height)
+        if world.detected is None:
+            ue = np.append(world.ue[:2], model.ue_height)
+            chance = detection_probabilities(model, ue, positions, types) * paths.facing
+        else:
+            bs_listed = world.types == LandmarkType.BS
+            bs_detected = world.detected[bs_listed].any()
+            chance = np.concatenate([[bs_detected], world.detected[listed]]).astype(np.float64)
+
+        results = []
+        for number, variant in enumerate(self._models):
+            state = self._states[number]
+            if self._ue is not None:
+                state = predict_bound(state, self._ue, timed.spans, variant.noise_rate)
+            used = variant.used_components
+            if timed.control is None:
+                used = used & (np.arange(len(used)) != DOPPLER)
+            state = update_bound(state, paths, ids, ids == -1, chance, variant.noise, used)
+            self._states[number] = state
+            results.append(bounds_of(state, ids[1:]))
+        self._ue = world.ue
+        return BoundsOutput(timed.stamp_ns, ids[1:], types[1:], results[0], results[1])
+

@@ -1,0 +1,486 @@
+"""Between messages and the core: the only place that knows the fields of both.
+
+The same code builds messages for the middleware and for bags: it gets a function that finds the
+class of a message type, rclpy's in a node (nodes/runtime.py) or rosbags' offline (bag/typestore.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from dopslam_ros import topics
+from dopslam_ros.core.arrays import FloatArray, IntArray
+from dopslam_ros.core.channel import COMPONENTS, DIM, LandmarkType
+from dopslam_ros.core.filter import LandmarkEstimates
+from dopslam_ros.core.measurements import MOST_PATHS, InvalidMeasurements, MeasurementSet
+from dopslam_ros.core.measurements import checked_measurements as _checked
+from dopslam_ros.core.motion import Control
+from dopslam_ros.core.session import BoundsOutput, FilterOutput, WorldState
+
+Types = Callable[[str], Any]
+NANO = 1_000_000_000
+# The ellipsoids that are drawn hold the landmark with this probability.
+ELLIPSOID_PROBABILITY = 0.95
+BS_ID = 0
+COLOURS = {
+    LandmarkType.BS: (0.1, 0.1, 0.1),
+    LandmarkType.VA: (0.0, 0.45, 0.7),
+    LandmarkType.SP: (0.85, 0.37, 0.0),
+}
+
+
+class InvalidMessage(ValueError):
+    """A message that cannot be used.
+
+    Attributes:
+        reason: a short key to count by.
+    """
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Names of the coordinate frames."""
+
+    map: str = "map"
+    base: str = "base_link"
+
+
+def stamp_ns(header: Any) -> int:
+    """Time of a header [ns].
+
+    Raises:
+        InvalidMessage: the stamp is zero or malformed.
+    """
+    sec, nanosec = int(header.stamp.sec), int(header.stamp.nanosec)
+    if (sec, nanosec) == (0, 0):
+        raise InvalidMessage(
+            "no_stamp", "header.stamp is zero: fill in the time of the snapshot or control"
+        )
+    if sec < 0 or not 0 <= nanosec < NANO:
+        raise InvalidMessage("invalid_stamp", f"header.stamp {sec} s {nanosec} ns is no time")
+    return sec * NANO + nanosec
+
+
+def make_header(types: Types, time_ns: int, frame: str) -> Any:
+    """std_msgs/Header."""
+    return types("std_msgs/msg/Header")(stamp=make_time(types, time_ns), frame_id=frame)
+
+
+def make_time(types: Types, time_ns: int) -> Any:
+    """builtin_interfaces/Time."""
+    return types("builtin_interfaces/msg/Time")(sec=time_ns // NANO, nanosec=time_ns % NANO)
+
+
+# --- inputs of the filter ------------------------------------------------------------------------
+
+
+def read_measurements(message: Any) -> MeasurementSet:
+    """A ChannelMeasurementSet as arrays.
+
+    Raises:
+        InvalidMessage: something in it cannot be used; nothing of it is used then.
+    """
+    paths = message.paths
+    if len(paths) > MOST_PATHS:
+        raise InvalidMessage("too_many_paths", f"{len(paths)} paths: at most {MOST_PATHS} are used")
+    values = np.array([[getattr(p, name) for name in COMPONENTS] for p in paths], dtype=np.float64)
+    covariances = np.array([p.covariance for p in paths], dtype=np.float64)
+    try:
+        return _checked(values.reshape(-1, DIM), covariances.reshape(-1, DIM, DIM))
+    except InvalidMeasurements as error:
+        raise InvalidMessage(error.reason, str(error)) from error
+
+
+def make_measurements(
+    types: Types, time_ns: int, measurements: MeasurementSet, frames: Frames
+) -> Any:
+    """A ChannelMeasurementSet."""
+    make = types("dopslam_msgs/msg/ChannelMeasurement")
+    paths = [
+        make(
+            **{name: float(v) for name, v in zip(COMPONENTS, row, strict=True)},
+            covariance=np.ascontiguousarray(covariance).reshape(-1),
+            snr_db=float("nan"),
+        )
+        for row, covariance in zip(
+            measurements.values, measurements.covariances, strict=True
+        )
+    ]
+    return types(topics.CHANNEL_MEASUREMENTS.type_name)(
+        header=make_header(types, time_ns, frames.base), paths=paths
+    )
+
+
+def read_control(message: Any) -> Control:
+    """v and omega of a TwistStamped."""
+    return Control(float(message.twist.linear.x), float(message.twist.angular.z))
+
+
+def make_control(types: Types, time_ns: int, control: Control, frames: Frames) -> Any:
+    """A TwistStamped in the vehicle's frame."""
+    return types(topics.ODOMETRY_CONTROL.type_name)(
+        header=make_header(types, time_ns, frames.base), twist=_twist(types, control)
+    )
+
+
+# --- states and maps -----------------------------------------------------------------------------
+
+
+def make_ue_state(
+    types: Types, time_ns: int, mean: FloatArray, covariance: FloatArray, frames: Frames
+) -> Any:
+    """A UeState from (4,) and (4, 4)."""
+    x, y, heading, bias = (float(v) for v in mean)
+    return types(topics.UE_STATE.type_name)(
+        header=make_header(types, time_ns, frames.map),
+        x=x,
+        y=y,
+        heading=heading,
+        clock_bias=bias,
+        covariance=np.ascontiguousarray(covariance).reshape(-1),
+    )
+
+
+def read_ue_state(message: Any) -> tuple[FloatArray, FloatArray]:
+    """(4,) mean and (4, 4) covariance of a UeState.
+
+    Raises:
+        InvalidMessage: a number is not finite.
+    """
+    mean = np.array([message.x, message.y, message.heading, message.clock_bias], np.float64)
+    covariance = np.array(message.covariance, dtype=np.float64).reshape(4, 4)
+    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        raise InvalidMessage("state_not_finite", "a UeState holds NaN or infinity")
+    return mean, covariance
+
+
+@dataclass(frozen=True)
+class MapArrays:
+    """A LandmarkMap as arrays: (L,) ids and types, (L, 3) positions [m], (L, 3, 3) covariances."""
+
+    ids: IntArray
+    types: IntArray
+    positions: FloatArray
+    covariances: FloatArray
+
+    def at(self, ue: FloatArray) -> WorldState:
+        """Vehicle (4,) and map together, where bounds can be evaluated."""
+        return WorldState(ue, self.ids, self.types, self.positions)
+
+    def of_type(self, kind: LandmarkType) -> FloatArray:
+        """(n, 3) positions of the landmarks of a type."""
+        return self.positions[self.types == kind]
+
+
+def read_map(message: Any) -> MapArrays:
+    """Arrays of a LandmarkMap.
+
+    Raises:
+        InvalidMessage: a position is not finite or a type is unknown.
+    """
+    landmarks = message.landmarks
+    positions = np.array(
+        [[m.position.x, m.position.y, m.position.z] for m in landmarks], np.float64
+    ).reshape(-1, 3)
+    kinds = np.array([int(m.type) for m in landmarks], dtype=np.int64)
+    if not np.isfinite(positions).all():
+        raise InvalidMessage("position_not_finite", "a landmark's position is NaN or infinite")
+    if not np.isin(kinds, list(LandmarkType)).all():
+        raise InvalidMessage("unknown_type", "a landmark's type is none of BS, VA, SP")
+    covariances = np.array([m.covariance for m in landmarks], np.float64).reshape(-1, 3, 3)
+    ids = np.array([int(m.id) for m in landmarks], dtype=np.int64)
+    return MapArrays(ids, kinds, positions, covariances)
+
+
+def make_map(
+    types: Types, time_ns: int, landmarks: LandmarkEstimates, bs: FloatArray, frames: Frames
+) -> Any:
+    """A LandmarkMap: the BS with id 0, then the landmarks."""
+    certain = np.array([1.0, 0.0, 0.0])
+    entries = [_landmark(types, BS_ID, LandmarkType.BS, certain, 1.0, bs, np.zeros((3, 3)))]
+    entries += [
+        _landmark(types, *row)
+        for row in zip(
+            landmarks.ids,
+            landmarks.types,
+            landmarks.type_probabilities,
+            landmarks.existence,
+            landmarks.positions,
+            landmarks.covariances,
+            strict=True,
+        )
+    ]
+    return types(topics.LANDMARKS.type_name)(
+        header=make_header(types, time_ns, frames.map), landmarks=entries
+    )
+
+
+def true_landmarks(positions: FloatArray, kinds: IntArray) -> LandmarkEstimates:
+    """The true landmarks (L, 3), (L,) as if estimated without error; ids from 1 on."""
+    count = len(kinds)
+    return LandmarkEstimates(
+        ids=np.arange(1, count + 1),
+        types=kinds,
+        type_probabilities=np.eye(len(LandmarkType))[kinds],
+        existence=np.ones(count),
+        positions=positions,
+        covariances=np.zeros((count, 3, 3)),
+    )
+
+
+def make_bounds(types: Types, output: BoundsOutput, frames: Frames) -> Any:
+    """An ErrorBounds."""
+    make = types("dopslam_msgs/msg/LandmarkBound")
+    full, plain = output.with_doppler, output.without_doppler
+    return types(topics.BOUNDS.type_name)(
+        header=make_header(types, output.stamp_ns, frames.map),
+        peb=full.peb,
+        heb=full.heb,
+        ceb=full.ceb,
+        peb_without_doppler=plain.peb,
+        heb_without_doppler=plain.heb,
+        ceb_without_doppler=plain.ceb,
+        landmarks=[
+            make(id=int(i), type=int(kind), leb=float(leb), leb_without_doppler=float(other))
+            for i, kind, leb, other in zip(
+                output.ids, output.types, full.leb, plain.leb, strict=True
+            )
+        ],
+    )
+
+
+# --- outputs of the filter -----------------------------------------------------------------------
+
+
+@dataclass
+class FilterMessages:
+    """Turns filter outputs into messages; remembers the path driven and the markers shown.
+
+    Attributes:
+        types: finds message classes.
+        bs: (3,) position of the BS [m].
+        ue_height: height of the vehicle's antenna [m].
+        frames: names of the frames.
+        path_poses: most poses that the path keeps.
+    """
+
+    types: Types
+    bs: FloatArray
+    ue_height: float = 0.0
+    frames: Frames = field(default_factory=Frames)
+    path_poses: int = 1000
+
+    def __post_init__(self) -> None:
+        self._poses: list[Any] = []
+        self._shown: set[tuple[str, int]] = set()
+
+    def of(self, output: FilterOutput) -> list[tuple[topics.Topic, Any]]:
+        """All messages of one output, in the order in which they are to be sent."""
+        types, frames, time_ns = self.types, self.frames, output.stamp_ns
+        mean, covariance = output.state.ue_mean, output.state.ue_covariance
+        header = make_header(types, time_ns, frames.map)
+        pose = self._pose(mean)
+        with_covariance = types("geometry_msgs/msg/PoseWithCovariance")(
+            pose=pose, covariance=_pose_covariance(covariance)
+        )
+        self._poses.append(types("geometry_msgs/msg/PoseStamped")(header=header, pose=pose))
+        del self._poses[: -self.path_poses]
+        odometry = types(topics.ODOMETRY.type_name)(
+            header=header,
+            child_frame_id=frames.base,
+            pose=with_covariance,
+            twist=types("geometry_msgs/msg/TwistWithCovariance")(
+                twist=_twist(types, output.control), covariance=np.zeros(36)
+            ),
+        )
+        return [
+            (topics.UE_STATE, make_ue_state(types, time_ns, mean, covariance, frames)),
+            (
+                topics.UE_POSE,
+                types(topics.UE_POSE.type_name)(header=header, pose=with_covariance),
+            ),
+            (topics.ODOMETRY, odometry),
+            (topics.PATH, types(topics.PATH.type_name)(header=header, poses=list(self._poses))),
+            (topics.LANDMARKS, make_map(types, time_ns, output.landmarks, self.bs, frames)),
+            (topics.LANDMARK_MARKERS, self._markers(time_ns, output.landmarks)),
+        ]
+
+    def _pose(self, mean: FloatArray) -> Any:
+        x, y, heading, _ = (float(v) for v in mean)
+        return self.types("geometry_msgs/msg/Pose")(
+            position=_point(self.types, (x, y, self.ue_height)),
+            orientation=_quaternion(self.types, Rotation.from_euler("z", heading)),
+        )
+
+    def _markers(self, time_ns: int, landmarks: LandmarkEstimates) -> Any:
+        """A solid body and an ellipsoid per landmark; DELETE for what is gone."""
+        kinds = [LandmarkType.BS, *(LandmarkType(int(k)) for k in landmarks.types)]
+        ids = [BS_ID, *landmarks.ids.tolist()]
+        positions = np.vstack([self.bs, landmarks.positions])
+        shown: set[tuple[str, int]] = set()
+        markers = []
+        for number, (kind, landmark) in enumerate(zip(kinds, ids, strict=True)):
+            key = (kind.name, landmark)
+            shown.add(key)
+            existence = 1.0 if number == 0 else float(landmarks.existence[number - 1])
+            markers.append(self._body(time_ns, kind, key, positions[number], existence))
+            if kind != LandmarkType.BS:
+                key = (f"{kind.name}_ellipsoid", landmark)
+                shown.add(key)
+                covariance = landmarks.covariances[number - 1]
+                markers.append(self._ellipsoid(time_ns, kind, key, positions[number], covariance))
+        gone = sorted(self._shown - shown)
+        self._shown = shown
+        markers += [self._marker(time_ns, key, action=2) for key in gone]
+        return self.types(topics.LANDMARK_MARKERS.type_name)(markers=markers)
+
+    def _body(
+        self,
+        time_ns: int,
+        kind: LandmarkType,
+        key: tuple[str, int],
+        position: FloatArray,
+        existence: float,
+    ) -> Any:
+        size = {LandmarkType.BS: 4.0, LandmarkType.VA: 3.0, LandmarkType.SP: 2.0}[kind]
+        shape = 3 if kind == LandmarkType.BS else 1 if kind == LandmarkType.VA else 2
+        return self._marker(
+            time_ns, key, shape, position, (size, size, size), (*COLOURS[kind], existence)
+        )
+
+    def _ellipsoid(
+        self,
+        time_ns: int,
+        kind: LandmarkType,
+        key: tuple[str, int],
+        position: FloatArray,
+        covariance: FloatArray,
+    ) -> Any:
+        variances, axes = np.linalg.eigh(covariance)
+        if np.linalg.det(axes) < 0.0:
+            axes = -axes
+        radius = np.sqrt(np.maximum(variances, 0.0) * chi2.ppf(ELLIPSOID_PROBABILITY, 3))
+        size = np.maximum(2.0 * radius, 1e-3)
+        return self._marker(
+            time_ns, key, 2, position, size, (*COLOURS[kind], 0.25), Rotation.from_matrix(axes)
+        )
+
+    def _marker(
+        self,
+        time_ns: int,
+        key: tuple[str, int],
+        shape: int = 2,
+        position: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
+        size: Sequence[float] | FloatArray = (1.0, 1.0, 1.0),
+        colour: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        rotation: Rotation | None = None,
+        action: int = 0,
+    ) -> Any:
+        types = self.types
+        x, y, z = (float(v) for v in size)
+        r, g, b, a = (float(v) for v in colour)
+        return types("visualization_msgs/msg/Marker")(
+            header=make_header(types, time_ns, self.frames.map),
+            ns=key[0],
+            id=key[1],
+            type=shape,
+            action=action,
+            pose=types("geometry_msgs/msg/Pose")(
+                position=_point(types, position),
+                orientation=_quaternion(types, rotation or Rotation.identity()),
+            ),
+            scale=types("geometry_msgs/msg/Vector3")(x=x, y=y, z=z),
+            color=types("std_msgs/msg/ColorRGBA")(r=r, g=g, b=b, a=a),
+            lifetime=types("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
+            frame_locked=False,
+            points=[],
+            colors=[],
+            texture_resource="",
+            texture=types("sensor_msgs/msg/CompressedImage")(
+                header=make_header(types, 0, ""), format="", data=np.zeros(0, np.uint8)
+            ),
+            uv_coordinates=[],
+            text="",
+            mesh_resource="",
+            mesh_file=types("visualization_msgs/msg/MeshFile")(
+                filename="", data=np.zeros(0, np.uint8)
+            ),
+            mesh_use_embedded_materials=False,
+        )
+
+
+def make_text(types: Types, text: str) -> Any:
+    """A std_msgs/String."""
+    return types("std_msgs/msg/String")(data=text)
+
+
+def make_diagnostics(
+    types: Types, time_ns: int, name: str, level: int, summary: str, values: Iterable[tuple[str, Any]]
+) -> Any:
+    """A DiagnosticArray with one status; level 0 OK, 1 WARN, 2 ERROR."""
+    key_value = types("diagnostic_msgs/msg/KeyValue")
+    status = types("diagnostic_msgs/msg/DiagnosticStatus")(
+        level=bytes([level]),
+        name=name,
+        message=summary,
+        hardware_id="",
+        values=[key_value(key=key, value=str(value)) for key, value in values],
+    )
+    return types(topics.DIAGNOSTICS.type_name)(
+        header=make_header(types, time_ns, ""), status=[status]
+    )
+
+
+def _landmark(
+    types: Types,
+    number: Any,
+    kind: Any,
+    probabilities: FloatArray,
+    existence: Any,
+    position: FloatArray,
+    covariance: FloatArray,
+) -> Any:
+    return types("dopslam_msgs/msg/Landmark")(
+        id=int(number),
+        type=int(kind),
+        type_probabilities=np.ascontiguousarray(probabilities),
+        existence_probability=float(existence),
+        position=_point(types, position),
+        covariance=np.ascontiguousarray(covariance).reshape(-1),
+    )
+
+
+def _point(types: Types, position: Sequence[float] | FloatArray) -> Any:
+    x, y, z = (float(v) for v in position)
+    return types("geometry_msgs/msg/Point")(x=x, y=y, z=z)
+
+
+def _quaternion(types: Types, rotation: Rotation) -> Any:
+    x, y, z, w = (float(v) for v in rotation.as_quat())
+    return types("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
+
+
+def _twist(types: Types, control: Control) -> Any:
+    vector = types("geometry_msgs/msg/Vector3")
+    return types("geometry_msgs/msg/Twist")(
+        linear=vector(x=float(control.speed), y=0.0, z=0.0),
+        angular=vector(x=0.0, y=0.0, z=float(control.turn_rate)),
+    )
+
+
+def _pose_covariance(covariance: FloatArray) -> FloatArray:
+    """(36,) row-major over x, y, z, roll, pitch, yaw (REP-103) from (4, 4); the rest is known."""
+    pose = np.zeros((6, 6))
+    index = [0, 1, 5]
+    pose[np.ix_(index, index)] = covariance[:3, :3]
+    return pose.reshape(-1)

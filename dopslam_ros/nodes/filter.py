@@ -1,0 +1,112 @@
+"""The filter node: measurement sets and controls in; vehicle, map and markers out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dopslam_ros import topics
+from dopslam_ros.core.filter import FilterParameters
+from dopslam_ros.core.parameters import commented_yaml, parameter
+from dopslam_ros.core.session import FilterOutput, FilterSession
+from dopslam_ros.messages import (
+    FilterMessages,
+    Frames,
+    make_text,
+    read_control,
+    read_measurements,
+    stamp_ns,
+)
+from dopslam_ros.nodes.runtime import DopslamNode, message_class, serve
+
+
+@dataclass(frozen=True)
+class FilterNodeParameters(FilterParameters):
+    """The filter's settings and the node's own."""
+
+    map_frame: str = parameter("map", "Frame of everything that is estimated.")
+    base_frame: str = parameter("base_link", "Frame of the vehicle.")
+    path_poses: int = parameter(1000, "Most poses that the path keeps.", low=1, high=1_000_000)
+
+
+class FilterNode(DopslamNode):
+    """Runs a FilterSession."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("filter", **options)
+        p = self.parameters_of(FilterNodeParameters)
+        self._session = FilterSession(p)
+        self._frames = Frames(p.map_frame, p.base_frame)
+        self._messages = FilterMessages(
+            message_class, np.array(p.bs_position), p.ue_height, self._frames, p.path_poses
+        )
+        self._outputs = {t.name: self.publisher(t) for t in topics.OUTPUTS if t != topics.BOUNDS}
+        self._outputs[topics.FILTER_PARAMETERS.name].publish(
+            make_text(message_class, commented_yaml(p))
+        )
+        self._step_seconds: list[float] = []
+        self._sets = 0
+        self._idle = False
+        self.subscribe(topics.CHANNEL_MEASUREMENTS, self._on_measurements)
+        self.subscribe_last(topics.ODOMETRY_CONTROL, self._on_control)
+        self.create_timer(p.control_wait, self._on_silence)
+        self.get_logger().info("ready")
+
+    def _on_control(self, message: Any) -> None:
+        self._idle = False
+        control = read_control(message)
+        self._publish(
+            self._session.add_control(stamp_ns(message.header), control.speed, control.turn_rate)
+        )
+
+    def _on_measurements(self, message: Any) -> None:
+        self._idle = False
+        measurements = read_measurements(message)
+        self._publish(self._session.add_measurements(stamp_ns(message.header), measurements))
+
+    def _on_silence(self) -> None:
+        """Nothing arrived for a whole period: what waits will wait in vain."""
+        if self._idle and self._session.pending:
+            self._publish(self._session.flush())
+        self._idle = True
+
+    def _publish(self, outputs: Iterable[FilterOutput]) -> None:
+        for output in outputs:
+            self._sets += 1
+            self._step_seconds = [*self._step_seconds[-99:], output.step_seconds]
+            for topic, message in self._messages.of(output):
+                self._outputs[topic.name].publish(message)
+
+    def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
+        self.problems.update(self._session.problems)
+        self._session.problems.clear()
+        state = self._session.state
+        smallest = float(np.linalg.eigvalsh(state.ue_covariance)[0])
+        steps = np.array(self._step_seconds or [0.0]) * 1e3
+        return (
+            0,
+            f"{self._sets} sets processed",
+            [
+                ("sets_processed", self._sets),
+                ("sets_waiting", self._session.pending),
+                ("landmarks", len(state.track_id)),
+                ("step_ms_median", f"{np.median(steps):.3f}"),
+                ("step_ms_max", f"{steps.max():.3f}"),
+                ("smallest_eigenvalue", f"{smallest:.3e}"),
+            ],
+        )
+
+    def close(self) -> None:
+        self._publish(self._session.flush())
+
+
+def main() -> None:
+    """ros2 run dopslam_ros filter."""
+    serve(FilterNode)
+
+
+if __name__ == "__main__":
+    main()

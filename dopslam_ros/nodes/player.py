@@ -1,0 +1,157 @@
+"""The player node: publishes a bag again, as it was recorded, with the bag's time on /clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+
+from dopslam_ros import topics
+from dopslam_ros.bag import BagError, BagMessage, BagReader
+from dopslam_ros.core.parameters import parameter
+from dopslam_ros.messages import make_time
+from dopslam_ros.nodes.runtime import (
+    DopslamNode,
+    StartError,
+    message_class,
+    names,
+    qos_profile,
+    serve,
+)
+
+TICK = 0.005
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+# Messages in a tick at most: readers with queues of finite depth must keep up.
+MOST_PER_TICK = 100
+
+
+@dataclass(frozen=True)
+class PlayerParameters:
+    """Settings of the player."""
+
+    bag: str = parameter("", "The bag to play: its folder or an .mcap file.")
+    rate: float = parameter(
+        1.0, "How many times faster than recorded.", low=1e-3, high=1e6, dynamic=True
+    )
+    paused: bool = parameter(False, "Whether time stands still.", dynamic=True)
+    outputs: bool = parameter(
+        False,
+        "Whether to publish also what the filter and the bounds had published, not only what the"
+        " filter and the bounds need.",
+    )
+    clock: bool = parameter(True, "Whether to publish the bag's time on /clock.")
+    pause_at_end: bool = parameter(
+        False, "Whether to stay, with the latched topics, when everything was published."
+    )
+    wait_for_nodes: str = parameter(
+        "", "Names of nodes, separated by commas, to wait for before the first message."
+    )
+
+
+class PlayerNode(DopslamNode):
+    """Publishes the messages of one bag at the times at which they were recorded."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("player", **options)
+        self._settings = p = self.parameters_of(PlayerParameters)
+        if not p.bag:
+            raise StartError("parameter 'bag' is empty: give the bag to play (-p bag:=FOLDER)")
+        try:
+            self._reader = BagReader(Path(p.bag))
+        except BagError as error:
+            raise StartError(str(error)) from error
+        if self._reader.damage:
+            self.get_logger().warning(self._reader.damage)
+        self._wait_for = names(p.wait_for_nodes)
+        self._players = {
+            name: self.create_publisher(
+                message_class(info.type_name),
+                name,
+                qos_profile(info.qos[0] if info.qos else topics.CHANNEL_MEASUREMENTS.qos),
+            )
+            for name, info in self._reader.topics.items()
+            if self._wanted(name)
+        }
+        if not self._players:
+            raise StartError(f"bag '{p.bag}' has none of the topics to play")
+        self._messages = self._reader.messages(self._players)
+        self._next: BagMessage | None = next(self._messages, None)
+        self._time_ns = self._next.log_time_ns if self._next else 0
+        self._sent = 0
+        self._tick_ns = 0
+        self._clock_publisher = self.create_publisher(
+            message_class("rosgraph_msgs/msg/Clock"), "/clock", 10
+        )
+        self._timer = self.create_timer(0.2, self._wait)
+        self.get_logger().info(
+            f"ready: {len(self._players)} topics of {p.bag}: {', '.join(sorted(self._players))}"
+        )
+
+    def _wanted(self, name: str) -> bool:
+        outputs = (*topics.OUTPUTS, topics.DIAGNOSTICS)
+        is_output = any(name.endswith("/" + topic.name.lstrip("/")) for topic in outputs)
+        # truth/landmarks ends like landmarks, but it is an input.
+        is_output = is_output and not any(name.endswith("/" + t.name) for t in topics.INPUTS)
+        return self._settings.outputs or not is_output
+
+    def parameters_changed(self, parameters: Any) -> None:
+        self._settings = parameters
+
+    def finished(self) -> bool:
+        return self._next is None and not self._settings.pause_at_end
+
+    def close(self) -> None:
+        for publisher in self._players.values():
+            publisher.wait_for_all_acked(Duration(seconds=2.0))
+
+    def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
+        return 0, f"{self._sent} messages published", [("messages_published", self._sent)]
+
+    def _wait(self) -> None:
+        missing = self.joined(self._wait_for, self._players.values())
+        if missing:
+            self.get_logger().info(
+                f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0
+            )
+            return
+        self.destroy_timer(self._timer)
+        # The wall clock drives the player: it may well be the source of the ROS time.
+        self._tick_ns = _STEADY.now().nanoseconds
+        self._timer = self.create_timer(TICK, self._play, clock=_STEADY)
+
+    def _play(self) -> None:
+        now = _STEADY.now().nanoseconds
+        elapsed, self._tick_ns = now - self._tick_ns, now
+        if self._settings.paused or self._next is None:
+            return
+        self._time_ns += round(elapsed * self._settings.rate)
+        for _ in range(MOST_PER_TICK):
+            if self._next is None or self._next.log_time_ns > self._time_ns:
+                break
+            self._publish_clock(self._next.log_time_ns)
+            self._players[self._next.topic].publish(self._next.payload)
+            self._sent += 1
+            self._next = next(self._messages, None)
+        if self._next is not None:
+            # More may be due than is sent at once: then time waits.
+            self._time_ns = min(self._time_ns, self._next.log_time_ns)
+        self._publish_clock(self._time_ns)
+        if self._next is None:
+            self.get_logger().info(f"end of the bag: {self._sent} messages published")
+
+    def _publish_clock(self, time_ns: int) -> None:
+        if self._settings.clock:
+            clock = message_class("rosgraph_msgs/msg/Clock")
+            self._clock_publisher.publish(clock(clock=make_time(message_class, time_ns)))
+
+
+def main() -> None:
+    """ros2 run dopslam_ros player."""
+    serve(PlayerNode)
+
+
+if __name__ == "__main__":
+    main()

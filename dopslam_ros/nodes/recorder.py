@@ -1,0 +1,120 @@
+"""The recorder node: writes the topics of a run into an MCAP bag, byte for byte."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from dopslam_ros import topics
+from dopslam_ros.bag import BagError, BagWriter
+from dopslam_ros.bag.qos import from_profile
+from dopslam_ros.core.parameters import parameter
+from dopslam_ros.nodes.runtime import (
+    DopslamNode,
+    StartError,
+    message_class,
+    names,
+    qos_profile,
+    serve,
+)
+
+FLUSH_PERIOD = 0.5
+DISCOVERY_PERIOD = 0.5
+
+
+@dataclass(frozen=True)
+class RecorderParameters:
+    """Settings of the recorder."""
+
+    bag: str = parameter("", "Folder of the new bag; empty: rosbag2_ and the time, here.")
+    extra_topics: str = parameter(
+        "", "More topics to record, separated by commas; their types are found in the graph."
+    )
+
+
+class RecorderNode(DopslamNode):
+    """Records the topics of this package, and others on request."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("recorder", **options)
+        p = self.parameters_of(RecorderParameters)
+        path = Path(p.bag or f"rosbag2_{datetime.now():%Y_%m_%d-%H_%M_%S}")
+        try:
+            self._bag = BagWriter(path, fsync_seconds=5.0)
+        except BagError as error:
+            raise StartError(str(error)) from error
+        self._written = 0
+        self._subscribed: set[str] = set()
+        self._known: set[str] = set()
+        self._extra = [self.resolve_topic_name(name) for name in names(p.extra_topics)]
+        # The controls last: see DopslamNode.joined.
+        for topic in sorted(topics.RECORDED, key=lambda t: t == topics.ODOMETRY_CONTROL):
+            self._record(self.resolve_topic_name(topic.name), topic.type_name, topic.qos)
+        self.create_timer(FLUSH_PERIOD, self._flush)
+        if self._extra:
+            self.create_timer(DISCOVERY_PERIOD, self._discover)
+        self.get_logger().info(f"ready: recording into {path}")
+
+    def _record(self, name: str, type_name: str, qos: Any) -> None:
+        self._subscribed.add(name)
+        self.create_subscription(
+            message_class(type_name),
+            name,
+            partial(self._write, name, type_name),
+            qos_profile(qos),
+            raw=True,
+        )
+
+    def _discover(self) -> None:
+        """Subscribes to the extra topics as their publishers appear, as these offer them."""
+        types = dict(self.get_topic_names_and_types())
+        for name in self._extra:
+            offers = self.get_publishers_info_by_topic(name)
+            if name not in self._subscribed and offers and name in types:
+                try:
+                    self._record(name, types[name][0], from_profile(offers[0].qos_profile))
+                except (ImportError, AttributeError) as error:
+                    self._subscribed.add(name)
+                    self.refuse(name, error)
+
+    def _write(self, name: str, type_name: str, payload: bytes) -> None:
+        now = self.get_clock().now().nanoseconds
+        try:
+            if name not in self._known:
+                offers = self.get_publishers_info_by_topic(name)
+                qos = {from_profile(offer.qos_profile) for offer in offers}
+                self._bag.add_topic(name, type_name, qos=sorted(qos, key=repr))
+                self._known.add(name)
+            self._bag.write(name, payload, now)
+            self._written += 1
+        except BagError as error:  # a full disk must not end the run
+            self.refuse(name, error)
+
+    def _flush(self) -> None:
+        try:
+            self._bag.flush()
+        except BagError as error:
+            self.refuse("bag", error)
+
+    def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
+        values = [("messages_written", self._written), ("topics", len(self._known))]
+        return 0, f"{self._written} messages written", values
+
+    def close(self) -> None:
+        try:
+            self._bag.close()
+            self.get_logger().info(f"closed {self._bag.path}: {self._written} messages")
+        except BagError as error:
+            self.get_logger().error(str(error))
+
+
+def main() -> None:
+    """ros2 run dopslam_ros recorder."""
+    serve(RecorderNode)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,329 @@
+"""What all nodes share: parameters, quality of service, message classes, diagnostics, shutdown."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import signal
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache
+from typing import Any, TypeVar
+
+import rclpy
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterException,
+)
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
+
+from dopslam_ros import topics
+from dopslam_ros.bag.qos import OfferedQos
+from dopslam_ros.core.parameters import (
+    Declaration,
+    ParameterError,
+    checked,
+    declarations,
+    from_mapping,
+    to_mapping,
+)
+from dopslam_ros.messages import make_diagnostics
+
+P = TypeVar("P")
+DIAGNOSTICS_PERIOD = 1.0
+# How often a kind of trouble is written to the log at most [s].
+LOG_PERIOD = 5.0
+
+
+class StartError(RuntimeError):
+    """A node cannot start; the message says why and what to do."""
+
+
+@cache
+def message_class(type_name: str) -> Any:
+    """rclpy's class of ``package/msg/Name``."""
+    package, kind, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), name)
+
+
+def qos_profile(offered: OfferedQos) -> QoSProfile:
+    """rclpy's form of a quality of service."""
+    # Discovery knows neither history nor depth of others: keep plenty.
+    depth = offered.depth or 1000
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy(int(offered.reliability)),
+        durability=DurabilityPolicy(int(offered.durability)),
+    )
+
+
+class DopslamNode(Node):
+    """A node with checked parameters and diagnostics.
+
+    Attributes:
+        problems: how often each kind of input was refused, or other trouble was met.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.problems: Counter[str] = Counter()
+        self._parameter_sets: list[Any] = []
+        self._logged: dict[str, int] = {}
+        self._diagnostics = self.publisher(topics.DIAGNOSTICS)
+        self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics)
+        self.add_on_set_parameters_callback(self._check_change)
+
+    # --- parameters
+
+    def parameters_of(self, kind: type[P]) -> P:
+        """Declares the parameters of a dataclass and returns their resolved values.
+
+        Raises:
+            StartError: a value given at start cannot be used.
+        """
+        values: dict[str, Any] = {}
+        for declared in declarations(kind):
+            default = declared.default
+            start: Any = list(default) if isinstance(default, tuple) else default
+            try:
+                values[declared.name] = self.declare_parameter(
+                    declared.name, start, _descriptor(declared)
+                ).value
+            except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+                given = self._parameter_overrides.get(declared.name)
+                raise StartError(_bad_start_value(declared, given, error)) from error
+        try:
+            parameters = from_mapping(kind, values)
+        except ParameterError as error:
+            raise StartError(str(error)) from error
+        self._parameter_sets.append(parameters)
+        self._warn_of_unknown()
+        for name, value in to_mapping(parameters).items():
+            self.get_logger().info(f"{name}: {value}")
+        return parameters
+
+    def parameters_changed(self, parameters: Any) -> None:
+        """Called after dynamic parameters changed, with the dataclass of the new values."""
+
+    def _warn_of_unknown(self) -> None:
+        """A misspelt name in a YAML file must not be ignored silently."""
+        for name in self._parameter_overrides:
+            if not self.has_parameter(name) and not name.startswith(("qos_overrides.", "use_sim")):
+                self.get_logger().warning(
+                    f"parameter '{name}' is given but unknown to this node, and ignored"
+                )
+
+    def _check_change(self, changes: list[Parameter[Any]]) -> SetParametersResult:
+        new = {change.name: change.value for change in changes}
+        for number, current in enumerate(self._parameter_sets):
+            known = {d.name: d for d in declarations(type(current))}
+            mine = {name: value for name, value in new.items() if name in known}
+            if not mine:
+                continue
+            try:
+                for name, value in mine.items():
+                    mine[name] = known[name].check(value)
+                changed = checked(from_mapping(type(current), {**to_mapping(current), **mine}))
+            except ParameterError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            self._parameter_sets[number] = changed
+            self.parameters_changed(changed)
+        return SetParametersResult(successful=True)
+
+    # --- topics
+
+    def publisher(self, topic: topics.Topic) -> Publisher[Any]:
+        """A publisher with the topic's quality of service, which parameters may override."""
+        return self.create_publisher(
+            message_class(topic.type_name),
+            topic.name,
+            qos_profile(topic.qos),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def subscribe(self, topic: topics.Topic, callback: Callable[[Any], None]) -> None:
+        """A subscription whose callback may raise an error with a ``reason``: it is counted."""
+
+        def guarded(message: Any) -> None:
+            try:
+                callback(message)
+            except Exception as error:  # a node never dies of a message
+                self.refuse(topic.name, error)
+
+        self.create_subscription(
+            message_class(topic.type_name),
+            topic.name,
+            guarded,
+            qos_profile(topic.qos),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def subscribe_last(self, topic: topics.Topic, callback: Callable[[Any], None]) -> None:
+        """A node's last subscription: who sees this one has seen the others, see ``joined``."""
+        self.subscribe(topic, callback)
+
+    def joined(self, names: Sequence[str], publishers: Iterable[Publisher[Any]]) -> list[str]:
+        """Which of the named nodes of this namespace do not get our messages yet.
+
+        All nodes of this package subscribe to the controls, and to them last. Once one is there and
+        every subscription discovered is matched, nothing that is published is lost to it.
+        """
+        present = {
+            info.node_name
+            for info in self.get_subscriptions_info_by_topic(
+                self.resolve_topic_name(topics.ODOMETRY_CONTROL.name)
+            )
+            if info.node_namespace == self.get_namespace()
+        }
+        matched = all(
+            p.get_subscription_count() >= self.count_subscribers(p.topic_name) for p in publishers
+        )
+        return [name for name in names if name not in present or not matched]
+
+    def refuse(self, source: str, error: Exception) -> None:
+        """Counts an input that was refused and logs it, each reason at most every few seconds."""
+        reason = getattr(error, "reason", type(error).__name__)
+        self.problems[reason] += 1
+        now = self.get_clock().now().nanoseconds
+        if reason in self._logged and 0 <= now - self._logged[reason] < LOG_PERIOD * 1e9:
+            return
+        self._logged[reason] = now
+        self.get_logger().warning(
+            f"{source}: refused ({reason}, {self.problems[reason]} so far): {error}"
+        )
+
+    # --- diagnostics
+
+    def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
+        """Level (0 OK, 1 WARN, 2 ERROR), summary, values; nodes add their own."""
+        return 0, "running", []
+
+    def publish_diagnostics(self) -> None:
+        """One status with everything that was counted."""
+        level, summary, values = self.health()
+        if self.problems:
+            level = max(level, 1)
+            summary += f", {sum(self.problems.values())} problems"
+        values = values + [(f"problem.{name}", n) for name, n in sorted(self.problems.items())]
+        now = self.get_clock().now().nanoseconds
+        self._diagnostics.publish(
+            make_diagnostics(
+                message_class, now, self.get_fully_qualified_name(), level, summary, values
+            )
+        )
+
+    # --- end
+
+    def finished(self) -> bool:
+        """Whether the node has nothing more to do."""
+        return False
+
+    def close(self) -> None:
+        """Called once before the node is destroyed: finish what is begun."""
+
+
+def run(create: Callable[[], DopslamNode], arguments: Sequence[str] | None = None) -> int:
+    """Runs a node until it is finished or told to stop; returns the exit code.
+
+    Own signal handlers only set a flag, so that Ctrl-C meets the node between two callbacks and
+    everything is closed in order.
+    """
+    rclpy.init(
+        args=list(arguments) if arguments is not None else sys.argv,
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    stop = False
+    executor = SingleThreadedExecutor()
+
+    def ask_to_stop(*_: object) -> None:
+        nonlocal stop
+        stop = True
+        executor.wake()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, ask_to_stop)
+    code = 0
+    node: DopslamNode | None = None
+    try:
+        node = create()
+        executor.add_node(node)
+        while not stop and not node.finished():
+            executor.spin_once(timeout_sec=0.2)
+    except ExternalShutdownException:
+        pass
+    except (StartError, ParameterException) as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = 2
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+        if node is not None:
+            node.close()
+            executor.remove_node(node)
+            node.destroy_node()
+        executor.shutdown()
+        rclpy.try_shutdown()
+    return code
+
+
+def _descriptor(declared: Declaration) -> ParameterDescriptor:
+    unit = f" [{declared.unit}]" if declared.unit else ""
+    descriptor = ParameterDescriptor(
+        name=declared.name,
+        description=f"{declared.text}{unit}",
+        additional_constraints=declared.range_text(),
+        read_only=not declared.dynamic,
+    )
+    bounded = declared.low is not None or declared.high is not None
+    low = -math.inf if declared.low is None else declared.low
+    high = math.inf if declared.high is None else declared.high
+    if bounded and type(declared.default) is float:
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    if bounded and type(declared.default) is int:
+        most = 2**62
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=-most if math.isinf(low) else int(low),
+                to_value=most if math.isinf(high) else int(high),
+                step=1,
+            )
+        ]
+    return descriptor
+
+
+def _bad_start_value(declared: Declaration, given: Any, error: Exception) -> str:
+    """Why a value given at start was refused, in the words of the declaration."""
+    if given is not None:
+        try:
+            declared.check(given.value)
+        except ParameterError as reason:
+            return str(reason)
+        if isinstance(given.value, int) and isinstance(declared.default, float):
+            return f"parameter '{declared.name}' = {given.value}: write {given.value}.0"
+    return f"parameter '{declared.name}': {error}"
+
+
+def serve(node_type: Callable[[], DopslamNode]) -> None:
+    """Entry point of an executable."""
+    raise SystemExit(run(node_type))
+
+
+
+def names(text: str) -> list[str]:
+    """The names in a list separated by commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]

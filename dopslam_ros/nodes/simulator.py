@@ -1,0 +1,147 @@
+"""The simulator node: publishes the measurement sets, controls and truth of a scenario."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rclpy.duration import Duration
+
+from dopslam_ros import topics
+from dopslam_ros.core.parameters import parameter
+from dopslam_ros.core.scenario import START_NS, ScenarioError, load_scenario
+from dopslam_ros.core.simulator import Snapshot, simulate
+from dopslam_ros.messages import (
+    Frames,
+    make_control,
+    make_map,
+    make_measurements,
+    make_ue_state,
+    true_landmarks,
+)
+from dopslam_ros.nodes.runtime import DopslamNode, StartError, message_class, names, serve
+
+
+@dataclass(frozen=True)
+class SimulatorParameters:
+    """Settings of the simulator; the scene itself is in the scenario file."""
+
+    scenario: str = parameter(
+        "paper", "Name of a scene that comes with the package, or path of a YAML file."
+    )
+    seed: int = parameter(-1, "Seed of the run; -1: the scenario's.", low=-1)
+    rate: float = parameter(
+        1.0, "How many times faster than real time.", low=1e-3, high=1e6, dynamic=True
+    )
+    start_time: float = parameter(
+        0.0, "Stamp of the first snapshot; 0: the time of the clock.", unit="s", low=0.0
+    )
+    wait_for_nodes: str = parameter(
+        "filter", "Names of nodes, separated by commas, to wait for before the first snapshot."
+    )
+    exit_when_done: bool = parameter(True, "Whether to end after the last snapshot.")
+    map_frame: str = parameter("map", "Frame of the truth.")
+    base_frame: str = parameter("base_link", "Frame of the vehicle.")
+
+
+class SimulatorNode(DopslamNode):
+    """Publishes one run."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("simulator", **options)
+        p = self.parameters_of(SimulatorParameters)
+        try:
+            self._scenario = load_scenario(p.scenario)
+        except ScenarioError as error:
+            raise StartError(str(error)) from error
+        seed = self._scenario.seed if p.seed < 0 else p.seed
+        self._run = simulate(self._scenario, np.random.default_rng(seed))
+        self._frames = Frames(p.map_frame, p.base_frame)
+        self._exit = p.exit_when_done
+        self._wait_for = names(p.wait_for_nodes)
+        self._start_time = p.start_time
+        self._offset_ns = 0
+        self._sent = 0
+        self._done = False
+        self._sets = self.publisher(topics.CHANNEL_MEASUREMENTS)
+        self._controls = self.publisher(topics.ODOMETRY_CONTROL)
+        self._states = self.publisher(topics.TRUTH_UE)
+        self._map = self.publisher(topics.TRUTH_LANDMARKS)
+        self._timer = self.create_timer(0.2, self._wait)
+        self._rate = p.rate
+        self.get_logger().info(
+            f"ready: scene '{self._scenario.name}', {self._scenario.steps} snapshots, seed {seed}"
+        )
+
+    def parameters_changed(self, parameters: Any) -> None:
+        self._rate = parameters.rate
+        if self._sent and not self._done:
+            self._restart_timer()
+
+    def finished(self) -> bool:
+        return self._done and self._exit
+
+    def close(self) -> None:
+        for publisher in (self._sets, self._controls, self._states, self._map):
+            publisher.wait_for_all_acked(Duration(seconds=2.0))
+
+    def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
+        steps = self._scenario.steps
+        return 0, f"{self._sent} of {steps} snapshots sent", [("snapshots_sent", self._sent)]
+
+    def _wait(self) -> None:
+        missing = self.joined(self._wait_for, (self._sets, self._controls, self._states))
+        if missing:
+            self.get_logger().info(
+                f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0
+            )
+            return
+        now = self.get_clock().now().nanoseconds
+        start = round(self._start_time * 1e9) if self._start_time > 0.0 else now
+        self._offset_ns = start - START_NS
+        positions, kinds = self._scenario.landmarks, self._scenario.landmark_types
+        self._map.publish(
+            make_map(
+                message_class,
+                start,
+                true_landmarks(positions, kinds),
+                self._scenario.bs,
+                self._frames,
+            )
+        )
+        self._restart_timer()
+
+    def _restart_timer(self) -> None:
+        self.destroy_timer(self._timer)
+        self._timer = self.create_timer(self._scenario.period / self._rate, self._send)
+
+    def _send(self) -> None:
+        snapshot = next(self._run, None)
+        if snapshot is None:
+            self._done = True
+            self.destroy_timer(self._timer)
+            self.get_logger().info(f"done: {self._sent} snapshots sent")
+            return
+        self._publish(snapshot)
+        self._sent += 1
+
+    def _publish(self, snapshot: Snapshot) -> None:
+        time_ns = snapshot.stamp_ns + self._offset_ns
+        frames = self._frames
+        self._controls.publish(make_control(message_class, time_ns, snapshot.control, frames))
+        self._states.publish(
+            make_ue_state(message_class, time_ns, snapshot.state, np.zeros((4, 4)), frames)
+        )
+        self._sets.publish(
+            make_measurements(message_class, time_ns, snapshot.measurements, frames)
+        )
+
+
+def main() -> None:
+    """ros2 run dopslam_ros simulator."""
+    serve(SimulatorNode)
+
+
+if __name__ == "__main__":
+    main()
