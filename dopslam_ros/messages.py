@@ -430,7 +430,7 @@ def make_diagnostics(
     """A DiagnosticArray with one status; level 0 OK, 1 WARN, 2 ERROR."""
     key_value = types("diagnostic_msgs/msg/KeyValue")
     status = types("diagnostic_msgs/msg/DiagnosticStatus")(
-        level=bytes([level]),
+        level=level,
         name=name,
         message=summary,
         hardware_id="",

@@ -225,6 +225,8 @@ class _Scan:
         self._stream.seek(self._position)
         opcode, length = header.unpack(self._stream.read(header.size))
         left = self._size - self._position - header.size
+        if opcode == records.NOTHING:
+            return False
         if length > left:
             self._cut_record(opcode, header.size + left)
             return False

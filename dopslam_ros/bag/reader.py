@@ -157,7 +157,7 @@ class BagReader:
             return [self.path]
         if not self.path.is_dir():
             raise BagFormatError(
-                f"bag '{self.path}' does not exist: give the folder of a bag or an MCAP file"
+                f"there is no bag at '{self.path}': give the folder of a bag or an MCAP file"
             )
         listed = self._listed_paths()
         paths = [path for path in listed if path.is_file()]

@@ -16,6 +16,7 @@ import zstandard
 
 MAGIC = b"\x89MCAP0\r\n"
 
+NOTHING = 0x00  # no record has this: where it is, a file was never written
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
 CHUNK_INDEX, STATISTICS, DATA_END = 0x08, 0x0B, 0x0F
 
@@ -27,7 +28,7 @@ _CHUNK_INDEX_HEADER = struct.Struct("<QQQQ")
 _STATISTICS_HEADER = struct.Struct("<QHIIIIQQ")
 _ID_AND_NUMBER = struct.Struct("<HQ")
 
-_CHUNK_LIMIT_BYTES = 2**30
+_LIMIT_BYTES = 2**30
 
 
 class DamagedError(Exception):
@@ -153,7 +154,7 @@ def records(data: bytes, *, cut: bool = False) -> Iterator[Record]:
     while position + RECORD_HEADER.size <= size:
         opcode, length = RECORD_HEADER.unpack_from(data, position)
         start = position + RECORD_HEADER.size
-        if length > size - start:
+        if length > size - start or opcode == NOTHING:
             break
         position = start + length
         yield Record(opcode, start, position)
@@ -238,7 +239,7 @@ def salvage_chunk(cursor: Cursor) -> bytes:
         return _decompress(packed, compression, size, crc)
     if compression == "":
         return packed
-    if compression != "zstd" or size > _CHUNK_LIMIT_BYTES:
+    if compression != "zstd" or size > _LIMIT_BYTES:
         raise DamagedError("a chunk breaks off")
     try:
         return zstandard.ZstdDecompressor().decompressobj().decompress(packed)
@@ -250,8 +251,9 @@ def read_at(stream: BinaryIO, offset: int, length: int) -> bytes:
     """Read part of a file.
 
     Raises:
-        DamagedError: The file is too short.
+        DamagedError: The file is too short, or the part larger than any record there is.
     """
+    _check_size(length)
     stream.seek(offset)
     data = stream.read(length)
     if len(data) != length:
@@ -308,5 +310,5 @@ def _unpack_lz4(packed: bytes, size: int) -> bytes:
 
 
 def _check_size(size: int) -> None:
-    if size > _CHUNK_LIMIT_BYTES:
-        raise DamagedError(f"a chunk that claims to have {size} bytes")
+    if size > _LIMIT_BYTES:
+        raise DamagedError(f"a length of {size} bytes, which is too much")

@@ -6,6 +6,7 @@ their .msg files, wherever these are installed.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
@@ -114,13 +115,14 @@ def type_hash(type_name: str) -> str:
     """Hash of a type (``RIHS01_...``, REP-2011), as discovery reports it.
 
     Args:
-        type_name: Such as ``nav_msgs/msg/Odometry``.
+        type_name: Such as ``nav_msgs/msg/Odometry``, or one of any package that is installed.
 
     Raises:
         BagTypeError: The type is unknown.
     """
-    message_class(type_name)
-    return str(typestore().hash_rihs01(type_name))
+    if type_name in typestore().types:
+        return str(typestore().hash_rihs01(type_name))
+    return _installed_hash(type_name)
 
 
 @cache
@@ -143,6 +145,25 @@ def definition(type_name: str) -> str:
     return _with_nested(type_name, set())
 
 
+def _installed_hash(type_name: str) -> str:
+    """Hash that the build of the type's package has left beside the definition."""
+    package, name = _split(type_name)
+    for folder in _definition_folders(package):
+        path = folder / f"{name}.json"
+        if path.is_file():
+            hashes = json.loads(path.read_bytes())["type_hashes"]
+            return str(next(h["hash_string"] for h in hashes if h["type_name"] == type_name))
+    raise _unknown(type_name)
+
+
+def _split(type_name: str) -> tuple[str, str]:
+    """Package and name of a type."""
+    match = _TYPE_NAME.fullmatch(type_name)
+    if match is None:
+        raise BagTypeError(f"{type_name!r} is no message type: write it as 'package/msg/Name'")
+    return match[1], match[2]
+
+
 def _with_nested(type_name: str, seen: set[str]) -> str:
     text = _own_text(type_name)
     for nested in sorted(_nested_types(text, type_name.partition("/")[0])):
@@ -160,10 +181,7 @@ def _nested_types(text: str, package: str) -> set[str]:
 
 def _own_text(type_name: str) -> str:
     """Text of a single type: its .msg file, or else what the type store knows."""
-    match = _TYPE_NAME.fullmatch(type_name)
-    if match is None:
-        raise BagTypeError(f"{type_name!r} is no message type: write it as 'package/msg/Name'")
-    package, name = match.groups()
+    package, name = _split(type_name)
     for folder in _definition_folders(package):
         path = folder / f"{name}.msg"
         if path.is_file():

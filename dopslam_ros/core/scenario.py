@@ -88,13 +88,23 @@ def load_scenario(source: str | Path) -> Scenario:
         hint = unknown_name("scenario", str(source), builtin_scenarios())
         raise ScenarioError(f"{hint} (or give the path of a .yaml file)")
     try:
-        content = yaml.safe_load(text)
+        return parse_scenario(_with_base(yaml.safe_load(text)))
     except yaml.YAMLError as error:
         raise ScenarioError(f"scenario '{source}' is not YAML: {error}") from error
-    try:
-        return parse_scenario(content)
     except (ScenarioError, ParameterError) as error:
         raise ScenarioError(f"scenario '{source}': {error}") from error
+
+
+def _with_base(content: object) -> object:
+    """A file that says ``base: NAME`` changes some values of a scene that comes with the package."""
+    if not isinstance(content, Mapping) or "base" not in content:
+        return content
+    base = str(content["base"])
+    if base not in builtin_scenarios():
+        raise ScenarioError(unknown_name("base scenario", base, builtin_scenarios()))
+    text = (resources.files("dopslam_ros") / "scenarios" / f"{base}.yaml").read_text("utf-8")
+    own = {key: value for key, value in content.items() if key != "base"}
+    return {**yaml.safe_load(text), **own}
 
 
 def parse_scenario(content: object) -> Scenario:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dopslam_ros import topics
+from dopslam_ros.bag import message_class
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.core.session import BoundsOutput, BoundsParameters, BoundsSession
@@ -19,7 +20,7 @@ from dopslam_ros.messages import (
     read_ue_state,
     stamp_ns,
 )
-from dopslam_ros.nodes.runtime import DopslamNode, message_class, serve
+from dopslam_ros.nodes.runtime import DopslamNode, serve
 
 # States and maps that wait for their counterpart; beyond this the oldest are given up.
 MOST_WAITING = 1000
@@ -45,7 +46,7 @@ class BoundsNode(DopslamNode):
         self._maps: dict[int, MapArrays] = {}
         self._states: dict[int, FloatArray] = {}
         self._published = 0
-        self._bounds = self.publisher(topics.BOUNDS)
+        self._bounds = self.output(topics.BOUNDS)
         if p.source != "estimate":
             self.subscribe(topics.TRUTH_LANDMARKS, self._on_true_map)
             self.subscribe(topics.TRUTH_UE, lambda m: self._on_state("truth", m))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dopslam_ros import topics
+from dopslam_ros.bag import message_class
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import commented_yaml, parameter
 from dopslam_ros.core.session import FilterOutput, FilterSession
@@ -20,7 +21,7 @@ from dopslam_ros.messages import (
     read_measurements,
     stamp_ns,
 )
-from dopslam_ros.nodes.runtime import DopslamNode, message_class, serve
+from dopslam_ros.nodes.runtime import DopslamNode, serve
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class FilterNode(DopslamNode):
         self._messages = FilterMessages(
             message_class, np.array(p.bs_position), p.ue_height, self._frames, p.path_poses
         )
-        self._outputs = {t.name: self.publisher(t) for t in topics.OUTPUTS if t != topics.BOUNDS}
+        self._outputs = {t.name: self.output(t) for t in topics.OUTPUTS if t != topics.BOUNDS}
         self._outputs[topics.FILTER_PARAMETERS.name].publish(
             make_text(message_class, commented_yaml(p))
         )

@@ -16,7 +16,7 @@ from dopslam_ros.messages import make_time
 from dopslam_ros.nodes.runtime import (
     DopslamNode,
     StartError,
-    message_class,
+    middleware_class,
     names,
     qos_profile,
     serve,
@@ -68,7 +68,7 @@ class PlayerNode(DopslamNode):
         self._wait_for = names(p.wait_for_nodes)
         self._players = {
             name: self.create_publisher(
-                message_class(info.type_name),
+                middleware_class(info.type_name),
                 name,
                 qos_profile(info.qos[0] if info.qos else topics.CHANNEL_MEASUREMENTS.qos),
             )
@@ -83,7 +83,7 @@ class PlayerNode(DopslamNode):
         self._sent = 0
         self._tick_ns = 0
         self._clock_publisher = self.create_publisher(
-            message_class("rosgraph_msgs/msg/Clock"), "/clock", 10
+            middleware_class("rosgraph_msgs/msg/Clock"), "/clock", 10
         )
         self._timer = self.create_timer(0.2, self._wait)
         self.get_logger().info(
@@ -144,8 +144,8 @@ class PlayerNode(DopslamNode):
 
     def _publish_clock(self, time_ns: int) -> None:
         if self._settings.clock:
-            clock = message_class("rosgraph_msgs/msg/Clock")
-            self._clock_publisher.publish(clock(clock=make_time(message_class, time_ns)))
+            clock = middleware_class("rosgraph_msgs/msg/Clock")
+            self._clock_publisher.publish(clock(clock=make_time(middleware_class, time_ns)))
 
 
 def main() -> None:

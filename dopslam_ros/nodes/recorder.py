@@ -15,7 +15,7 @@ from dopslam_ros.core.parameters import parameter
 from dopslam_ros.nodes.runtime import (
     DopslamNode,
     StartError,
-    message_class,
+    middleware_class,
     names,
     qos_profile,
     serve,
@@ -61,7 +61,7 @@ class RecorderNode(DopslamNode):
     def _record(self, name: str, type_name: str, qos: Any) -> None:
         self._subscribed.add(name)
         self.create_subscription(
-            message_class(type_name),
+            middleware_class(type_name),
             name,
             partial(self._write, name, type_name),
             qos_profile(qos),

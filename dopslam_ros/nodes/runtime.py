@@ -32,6 +32,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
 from dopslam_ros import topics
+from dopslam_ros.bag import message_class, serialize
 from dopslam_ros.bag.qos import OfferedQos
 from dopslam_ros.core.parameters import (
     Declaration,
@@ -54,7 +55,7 @@ class StartError(RuntimeError):
 
 
 @cache
-def message_class(type_name: str) -> Any:
+def middleware_class(type_name: str) -> Any:
     """rclpy's class of ``package/msg/Name``."""
     package, kind, name = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.{kind}"), name)
@@ -72,6 +73,24 @@ def qos_profile(offered: OfferedQos) -> QoSProfile:
     )
 
 
+class Output:
+    """A publisher of messages made by ``bag.message_class``.
+
+    They are serialised here, by the code that the offline replay uses too, and handed to the
+    middleware as bytes: what a live run publishes and what its replay writes is then equal byte for
+    byte, even where CDR leaves gaps for alignment, which the middleware's own serialiser does not
+    clear.
+    """
+
+    def __init__(self, publisher: Publisher[Any], type_name: str) -> None:
+        self.publisher = publisher
+        self._type_name = type_name
+
+    def publish(self, message: Any) -> None:
+        """Serialises and sends."""
+        self.publisher.publish(serialize(message, self._type_name))
+
+
 class DopslamNode(Node):
     """A node with checked parameters and diagnostics.
 
@@ -84,7 +103,7 @@ class DopslamNode(Node):
         self.problems: Counter[str] = Counter()
         self._parameter_sets: list[Any] = []
         self._logged: dict[str, int] = {}
-        self._diagnostics = self.publisher(topics.DIAGNOSTICS)
+        self._diagnostics = self.output(topics.DIAGNOSTICS)
         self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics)
         self.add_on_set_parameters_callback(self._check_change)
 
@@ -147,14 +166,15 @@ class DopslamNode(Node):
 
     # --- topics
 
-    def publisher(self, topic: topics.Topic) -> Publisher[Any]:
+    def output(self, topic: topics.Topic) -> Output:
         """A publisher with the topic's quality of service, which parameters may override."""
-        return self.create_publisher(
-            message_class(topic.type_name),
+        publisher = self.create_publisher(
+            middleware_class(topic.type_name),
             topic.name,
             qos_profile(topic.qos),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
+        return Output(publisher, topic.type_name)
 
     def subscribe(self, topic: topics.Topic, callback: Callable[[Any], None]) -> None:
         """A subscription whose callback may raise an error with a ``reason``: it is counted."""
@@ -166,7 +186,7 @@ class DopslamNode(Node):
                 self.refuse(topic.name, error)
 
         self.create_subscription(
-            message_class(topic.type_name),
+            middleware_class(topic.type_name),
             topic.name,
             guarded,
             qos_profile(topic.qos),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,16 +12,10 @@ from rclpy.duration import Duration
 from dopslam_ros import topics
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.core.scenario import START_NS, ScenarioError, load_scenario
-from dopslam_ros.core.simulator import Snapshot, simulate
-from dopslam_ros.messages import (
-    Frames,
-    make_control,
-    make_map,
-    make_measurements,
-    make_ue_state,
-    true_landmarks,
-)
-from dopslam_ros.nodes.runtime import DopslamNode, StartError, message_class, names, serve
+from dopslam_ros.core.simulator import simulate
+from dopslam_ros.messages import Frames
+from dopslam_ros.nodes.runtime import DopslamNode, StartError, names, serve
+from dopslam_ros.simulation import Message, map_message, snapshot_messages
 
 
 @dataclass(frozen=True)
@@ -64,10 +59,7 @@ class SimulatorNode(DopslamNode):
         self._offset_ns = 0
         self._sent = 0
         self._done = False
-        self._sets = self.publisher(topics.CHANNEL_MEASUREMENTS)
-        self._controls = self.publisher(topics.ODOMETRY_CONTROL)
-        self._states = self.publisher(topics.TRUTH_UE)
-        self._map = self.publisher(topics.TRUTH_LANDMARKS)
+        self._outputs = {topic.name: self.output(topic) for topic in topics.INPUTS}
         self._timer = self.create_timer(0.2, self._wait)
         self._rate = p.rate
         self.get_logger().info(
@@ -83,15 +75,16 @@ class SimulatorNode(DopslamNode):
         return self._done and self._exit
 
     def close(self) -> None:
-        for publisher in (self._sets, self._controls, self._states, self._map):
-            publisher.wait_for_all_acked(Duration(seconds=2.0))
+        for output in self._outputs.values():
+            output.publisher.wait_for_all_acked(Duration(seconds=2.0))
 
     def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
         steps = self._scenario.steps
         return 0, f"{self._sent} of {steps} snapshots sent", [("snapshots_sent", self._sent)]
 
     def _wait(self) -> None:
-        missing = self.joined(self._wait_for, (self._sets, self._controls, self._states))
+        publishers = [output.publisher for output in self._outputs.values()]
+        missing = self.joined(self._wait_for, publishers)
         if missing:
             self.get_logger().info(
                 f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0
@@ -100,16 +93,7 @@ class SimulatorNode(DopslamNode):
         now = self.get_clock().now().nanoseconds
         start = round(self._start_time * 1e9) if self._start_time > 0.0 else now
         self._offset_ns = start - START_NS
-        positions, kinds = self._scenario.landmarks, self._scenario.landmark_types
-        self._map.publish(
-            make_map(
-                message_class,
-                start,
-                true_landmarks(positions, kinds),
-                self._scenario.bs,
-                self._frames,
-            )
-        )
+        self._send_messages([map_message(self._scenario, start, self._frames)])
         self._restart_timer()
 
     def _restart_timer(self) -> None:
@@ -123,19 +107,13 @@ class SimulatorNode(DopslamNode):
             self.destroy_timer(self._timer)
             self.get_logger().info(f"done: {self._sent} snapshots sent")
             return
-        self._publish(snapshot)
+        time_ns = snapshot.stamp_ns + self._offset_ns
+        self._send_messages(snapshot_messages(snapshot, time_ns, self._frames))
         self._sent += 1
 
-    def _publish(self, snapshot: Snapshot) -> None:
-        time_ns = snapshot.stamp_ns + self._offset_ns
-        frames = self._frames
-        self._controls.publish(make_control(message_class, time_ns, snapshot.control, frames))
-        self._states.publish(
-            make_ue_state(message_class, time_ns, snapshot.state, np.zeros((4, 4)), frames)
-        )
-        self._sets.publish(
-            make_measurements(message_class, time_ns, snapshot.measurements, frames)
-        )
+    def _send_messages(self, messages: Iterable[Message]) -> None:
+        for topic, message in messages:
+            self._outputs[topic.name].publish(message)
 
 
 def main() -> None:

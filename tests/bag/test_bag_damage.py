@@ -188,6 +188,20 @@ def test_lengths_are_not_believed(tmp_path: Path, lie: str) -> None:
     assert time.monotonic() - begin < 1.0
 
 
+def test_file_that_ends_in_zeros(tmp_path: Path, samples: Any, write_bag: Any) -> None:
+    """So a file may look after a power failure; nobody shall wait for a billion empty records."""
+    data = _content(write_bag(tmp_path / "bag", samples, 2000))
+    path = tmp_path / "zeros.mcap"
+    with path.open("wb") as stream:
+        stream.write(data[: len(data) // 2])
+        stream.truncate(2**34)
+    begin = time.monotonic()
+    found = [(m.topic, *m[2:]) for m in BagReader(path).messages()]
+    assert found == samples[: len(found)]
+    assert len(found) > 100
+    assert time.monotonic() - begin < 1.0
+
+
 def test_index_that_points_elsewhere(tmp_path: Path, samples: Any, write_bag: Any) -> None:
     """An index without checksum, its numbers changed one after the other."""
     data = _content(write_bag(tmp_path / "bag", samples, 2000))

@@ -231,12 +231,12 @@ def _make_nothing(path: Path) -> None:
 
 
 WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
-    "missing": (_make_nothing, "does not exist"),
+    "missing": (_make_nothing, "there is no bag at"),
     "empty folder": (Path.mkdir, "no .mcap file"),
     "empty file": (Path.touch, "is empty"),
     "text": (lambda path: path.write_text("rosbag"), "no MCAP file"),
     "almost": (lambda path: path.write_bytes(b"\x89MCAP1\r\n" + bytes(99)), "no MCAP file"),
-    "pipe": (lambda path: __import__("os").mkfifo(path), "does not exist"),
+    "pipe": (lambda path: __import__("os").mkfifo(path), "there is no bag at"),
     "sqlite": (
         lambda path: (path.mkdir(), (path / "bag_0.db3").touch()),
         "SQLite.*ros2 bag convert",

@@ -127,6 +127,18 @@ def test_sourced_workspace_comes_first(tmp_path: Path, monkeypatch: pytest.Monke
     assert "dopslam_msgs/msg/UeState" not in typestore().types
 
 
+def test_types_of_any_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "share" / "odd_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Odd.msg").write_text("std_msgs/Header header\nstring<=5[<=3] names\nint8 A=3\n")
+    hashes = [{"type_name": "odd_msgs/msg/Odd", "hash_string": "RIHS01_5"}]
+    (folder / "Odd.json").write_text(json.dumps({"type_hashes": hashes}))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    names = re.findall(r"^MSG: (.*)$", definition("odd_msgs/msg/Odd"), re.M)
+    assert names == ["std_msgs/Header", "builtin_interfaces/Time"]
+    assert type_hash("odd_msgs/msg/Odd") == "RIHS01_5"
+
+
 def test_missing_definitions_name_the_places(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", "/workspace")
     monkeypatch.setattr(sys, "prefix", "/environment")

@@ -140,7 +140,7 @@ def test_empty_bag_is_a_bag(tmp_path: Path, topics: int) -> None:
 
 
 def test_messages_larger_than_a_chunk(tmp_path: Path) -> None:
-    payloads = [bytes([n]) * size for n, size in enumerate((1, 300_000, 0, 20, 100_000, 3))]
+    payloads = [bytes([n]) * size for n, size in enumerate((1, 300_000, 4, 20, 100_000, 3))]
     with BagWriter(tmp_path / "bag", chunk_bytes=1000) as writer:
         writer.add_topic("/state", UE_STATE)
         for number, payload in enumerate(payloads):
@@ -323,7 +323,7 @@ def test_full_disk(tmp_path: Path, limit: int, at_close: bool) -> None:
     """The file may grow to the limit only: what is before it stays, and the error says so."""
     command = [sys.executable, "-c", LIMITED_CHILD, str(tmp_path / "bag"), str(limit)]
     environment = os.environ | {"PYTHONPATH": str(Path(dopslam_ros.__file__).parents[1])}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
     assert done.stderr == ""
     first, second = done.stdout.splitlines()
     assert first.startswith("write went well " * at_close + "writing bag")

@@ -1,0 +1,123 @@
+"""Runs judged against the truth: one record per run, one summary over runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dopslam_ros.core.arrays import FloatArray
+from dopslam_ros.core.bounds import Bounds
+from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.filter import LandmarkEstimates
+from dopslam_ros.core.metrics import gospa, nees, rmse, state_errors
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """One step judged; what cannot be judged is NaN.
+
+    Attributes:
+        error: (4,) estimate minus truth.
+        nees: of the vehicle.
+        gospa_va: GOSPA distance of the VAs [m].
+        gospa_sp: of the SPs [m].
+        bound: (3,) PEB [m], HEB [rad], CEB [m].
+        correct_weight: weight of the correct association.
+        seconds: time the step took.
+    """
+
+    error: FloatArray
+    nees: float
+    gospa_va: float
+    gospa_sp: float
+    bound: FloatArray
+    correct_weight: float
+    seconds: float
+
+
+def judge_step(
+    mean: FloatArray,
+    covariance: FloatArray,
+    landmarks: LandmarkEstimates,
+    true_state: FloatArray | None,
+    true_vas: FloatArray | None,
+    true_sps: FloatArray | None,
+    bound: Bounds | None,
+    correct_weight: float = math.nan,
+    seconds: float = math.nan,
+) -> StepRecord:
+    """Compares an estimate with the truth as far as it is known.
+
+    Args:
+        mean: (4,) estimate of the vehicle.
+        covariance: (4, 4).
+        landmarks: the map reported.
+        true_state: (4,) or None.
+        true_vas: (n, 3) or None.
+        true_sps: (n, 3) or None.
+        bound: at this step, or None.
+        correct_weight: weight of the correct association.
+        seconds: time the step took.
+    """
+    error, normalised = np.full(4, np.nan), math.nan
+    if true_state is not None:
+        error = state_errors(mean, true_state)
+        normalised = nees(error, covariance)
+
+    def distance(truth: FloatArray | None, kind: LandmarkType) -> float:
+        if truth is None:
+            return math.nan
+        return gospa(truth, landmarks.positions[landmarks.types == kind]).distance
+
+    return StepRecord(
+        error=error,
+        nees=normalised,
+        gospa_va=distance(true_vas, LandmarkType.VA),
+        gospa_sp=distance(true_sps, LandmarkType.SP),
+        bound=np.full(3, np.nan) if bound is None else np.array(bound[:3]),
+        correct_weight=correct_weight,
+        seconds=seconds,
+    )
+
+
+def summarise(runs: Sequence[Sequence[StepRecord]]) -> dict[str, Any]:
+    """Averages over runs (all of the same length) and steps, by the names of the JSON output.
+
+    What is not known in any step is left out.
+    """
+    def table(name: str) -> FloatArray:
+        return np.array([[getattr(step, name) for step in run] for run in runs], dtype=np.float64)
+
+    summary: dict[str, Any] = {"steps": len(runs[0]) if runs else 0}
+    if not runs or not runs[0]:
+        return summary
+    seconds = table("seconds") * 1e3
+    if np.isfinite(seconds).any():
+        summary["step_ms_p50"] = float(np.nanpercentile(seconds, 50))
+        summary["step_ms_p99"] = float(np.nanpercentile(seconds, 99))
+    judged = np.isfinite(table("error")).all(axis=2)
+    if judged.any():
+        errors = rmse(table("error")[judged])
+        summary["position_rmse"] = errors.position
+        summary["heading_rmse_deg"] = errors.heading_deg
+        summary["clock_bias_rmse"] = errors.clock_bias
+        summary["nees_mean"] = float(np.nanmean(table("nees")))
+    for name in ("gospa_va", "gospa_sp"):
+        known = table(name)
+        if np.isfinite(known).all():
+            summary[name] = known.mean(axis=0).tolist()
+    bound = np.square(table("bound"))
+    known = np.isfinite(bound).all(axis=2)
+    if known.any():
+        peb, heb, ceb = np.sqrt(bound[known].mean(axis=0))
+        summary["bound_position_rms"] = float(peb)
+        summary["bound_heading_rms_deg"] = math.degrees(heb)
+        summary["bound_clock_rms"] = float(ceb)
+    weights = table("correct_weight")
+    if np.isfinite(weights).any():
+        summary["correct_association_weight"] = float(np.nanmean(weights))
+    return summary

@@ -1,0 +1,282 @@
+"""Filters a bag offline: the same core as the live nodes, no middleware, as fast as it can."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from dopslam_ros import topics
+from dopslam_ros.bag import BagMessage, BagReader, BagWriter, deserialize, message_class, serialize
+from dopslam_ros.core.arrays import FloatArray
+from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.evaluation import StepRecord, judge_step
+from dopslam_ros.core.filter import FilterParameters
+from dopslam_ros.core.parameters import declarations, from_mapping
+from dopslam_ros.core.sequence import Refused
+from dopslam_ros.core.session import BoundsOutput, BoundsSession, FilterOutput, FilterSession
+from dopslam_ros.core.study import bounds_parameters_for
+from dopslam_ros.messages import (
+    FilterMessages,
+    Frames,
+    InvalidMessage,
+    MapArrays,
+    make_bounds,
+    make_text,
+    read_control,
+    read_map,
+    read_measurements,
+    read_ue_state,
+    stamp_ns,
+)
+
+
+class ReplayError(ValueError):
+    """A bag that cannot be replayed; the message says why."""
+
+
+@dataclass
+class Replay:
+    """What came out of a bag.
+
+    Attributes:
+        parameters: what the filter was set to.
+        outputs: of the filter, in order.
+        bounds: by stamp [ns].
+        truth: (4,) true states by stamp [ns].
+        true_map: the true landmarks, if the bag has them.
+        problems: how often each kind of input was refused, or other trouble was met.
+        damage: what of the bag could not be read, in a sentence.
+    """
+
+    parameters: FilterParameters
+    outputs: list[FilterOutput] = field(default_factory=list)
+    bounds: dict[int, BoundsOutput] = field(default_factory=dict)
+    truth: dict[int, FloatArray] = field(default_factory=dict)
+    true_map: MapArrays | None = None
+    problems: Counter[str] = field(default_factory=Counter)
+    damage: str | None = None
+
+    def records(self) -> list[StepRecord]:
+        """Each step judged against the truth, as far as the bag has it."""
+        vas = sps = None
+        if self.true_map is not None:
+            vas = self.true_map.of_type(LandmarkType.VA)
+            sps = self.true_map.of_type(LandmarkType.SP)
+        return [
+            judge_step(
+                output.state.ue_mean,
+                output.state.ue_covariance,
+                output.landmarks,
+                self.truth.get(output.stamp_ns),
+                vas,
+                sps,
+                self._bound_at(output.stamp_ns),
+                seconds=output.step_seconds,
+            )
+            for output in self.outputs
+        ]
+
+    def _bound_at(self, stamp: int) -> Any:
+        bound = self.bounds.get(stamp)
+        if bound is None:
+            return None
+        # A filter without Doppler is to be compared with the bound without.
+        doppler = self.parameters.used_components[-1]
+        return bound.with_doppler if doppler else bound.without_doppler
+
+
+def replay(
+    reader: BagReader,
+    overrides: Mapping[str, object] | None = None,
+    writer: BagWriter | None = None,
+    progress: Callable[[Iterable[BagMessage]], Iterable[BagMessage]] = iter,
+) -> Replay:
+    """Runs the filter and the bounds over the inputs in a bag.
+
+    The filter is set as it was when the bag was recorded, if the bag says so, changed by
+    ``overrides``. The order of the messages within each topic counts, not how topics interleave.
+
+    Args:
+        reader: the bag.
+        overrides: filter parameters by name.
+        writer: gets the inputs as they are and the outputs anew, or None.
+        progress: wraps the iteration over the messages.
+
+    Raises:
+        ReplayError: the bag has no measurement sets.
+        ParameterError: a parameter is unknown or its value unusable.
+        BagError: the bag cannot be read or written.
+    """
+    prefix = _prefix(reader)
+    names = {prefix + topic.name: topic for topic in topics.INPUTS}
+    settings = _recorded_settings(reader, prefix)
+    known = {d.name for d in declarations(FilterParameters)}
+    frames = Frames(
+        str(settings.get("map_frame", Frames.map)), str(settings.get("base_frame", Frames.base))
+    )
+    path_poses = int(settings.get("path_poses", FilterMessages.path_poses))
+    filter_settings = {name: value for name, value in settings.items() if name in known}
+    parameters = from_mapping(FilterParameters, {**filter_settings, **(overrides or {})})
+
+    run = _Run(parameters, frames, path_poses, prefix, writer)
+    if writer is not None:
+        _announce(reader, writer, prefix)
+        run.write_parameters(reader, settings, overrides or {})
+    for message in progress(reader.messages(set(names))):
+        run.feed(message, names[message.topic])
+    run.finish()
+    run.result.damage = reader.damage
+    return run.result
+
+
+class _Run:
+    """A replay under way."""
+
+    def __init__(
+        self,
+        parameters: FilterParameters,
+        frames: Frames,
+        path_poses: int,
+        prefix: str,
+        writer: BagWriter | None,
+    ) -> None:
+        self.result = Replay(parameters)
+        self._filter = FilterSession(parameters)
+        self._bounds = BoundsSession(bounds_parameters_for(parameters))
+        self._messages = FilterMessages(
+            message_class, parameters.bs, parameters.ue_height, frames, path_poses
+        )
+        self._frames = frames
+        self._prefix = prefix
+        self._writer = writer
+        self._time_ns = 0
+        self._pending_states: list[tuple[int, FloatArray]] = []
+
+    def feed(self, message: BagMessage, topic: topics.Topic) -> None:
+        """One input; trouble with it is counted."""
+        self._time_ns = message.log_time_ns
+        if self._writer is not None:
+            self._writer.write(
+                message.topic, message.payload, message.log_time_ns, message.publish_time_ns
+            )
+        try:
+            content = deserialize(message.payload, topic.type_name)
+            self._dispatch(topic, content)
+        except (InvalidMessage, Refused) as error:
+            self.result.problems[error.reason] += 1
+        except (ValueError, OverflowError, ArithmeticError) as error:
+            self.result.problems[type(error).__name__] += 1
+
+    def finish(self) -> None:
+        """The end of the inputs."""
+        self._filtered(self._filter.flush())
+        self._bounded(self._bounds.flush())
+        self.result.problems.update(self._filter.problems)
+
+    def write_parameters(
+        self,
+        reader: BagReader,
+        settings: Mapping[str, object],
+        overrides: Mapping[str, object],
+    ) -> None:
+        """The settings of this run, so that the new bag can be replayed in its turn."""
+        values = {**settings, **overrides}
+        text = yaml.safe_dump({k: list(v) if isinstance(v, tuple) else v for k, v in values.items()})
+        self._time_ns = reader.start_time_ns or 0
+        self._write(topics.FILTER_PARAMETERS, make_text(message_class, text))
+
+    def _dispatch(self, topic: topics.Topic, content: Any) -> None:
+        if topic == topics.TRUTH_LANDMARKS:
+            self.result.true_map = read_map(content)
+            waiting, self._pending_states = self._pending_states, []
+            for stamp, state in waiting:
+                self._add_truth(stamp, state)
+            return
+        stamp = stamp_ns(content.header)
+        if topic == topics.TRUTH_UE:
+            self._add_truth(stamp, read_ue_state(content)[0])
+        elif topic == topics.ODOMETRY_CONTROL:
+            speed, turn_rate = read_control(content)
+            self._filtered(self._filter.add_control(stamp, speed, turn_rate))
+            self._bounded(self._bounds.add_control(stamp, speed, turn_rate))
+        else:
+            self._filtered(self._filter.add_measurements(stamp, read_measurements(content)))
+
+    def _add_truth(self, stamp: int, state: FloatArray) -> None:
+        self.result.truth[stamp] = state
+        if self.result.true_map is None:
+            self._pending_states.append((stamp, state))
+            return
+        self._bounded(self._bounds.add_world(stamp, self.result.true_map.at(state)))
+
+    def _filtered(self, outputs: Iterable[FilterOutput]) -> None:
+        for output in outputs:
+            self.result.outputs.append(output)
+            if self._writer is not None:
+                for topic, message in self._messages.of(output):
+                    self._write(topic, message)
+
+    def _bounded(self, outputs: Iterable[BoundsOutput]) -> None:
+        for output in outputs:
+            self.result.bounds[output.stamp_ns] = output
+            if self._writer is not None:
+                self._write(topics.BOUNDS, make_bounds(message_class, output, self._frames))
+
+    def _write(self, topic: topics.Topic, message: Any) -> None:
+        assert self._writer is not None
+        payload = serialize(message, topic.type_name)
+        self._writer.write(self._prefix + topic.name, payload, self._time_ns)
+
+
+def _prefix(reader: BagReader) -> str:
+    """The namespace that the topics were recorded in, with a slash at its end."""
+    ending = "/" + topics.CHANNEL_MEASUREMENTS.name
+    found = sorted(name for name in reader.topics if name.endswith(ending))
+    if not found:
+        have = ", ".join(sorted(reader.topics)) or "none"
+        raise ReplayError(f"bag '{reader.path}' has no topic ...{ending}; its topics: {have}")
+    if len(found) > 1:
+        raise ReplayError(
+            f"bag '{reader.path}' has several vehicles ({', '.join(found)}): record one per bag"
+        )
+    expected = topics.CHANNEL_MEASUREMENTS.type_name
+    if reader.topics[found[0]].type_name != expected:
+        raise ReplayError(
+            f"topic {found[0]} of '{reader.path}' has type {reader.topics[found[0]].type_name},"
+            f" not {expected}"
+        )
+    return found[0].removesuffix(topics.CHANNEL_MEASUREMENTS.name)
+
+
+def _recorded_settings(reader: BagReader, prefix: str) -> dict[str, Any]:
+    """What the filter was set to when the bag was recorded; empty if the bag does not say."""
+    name = prefix + topics.FILTER_PARAMETERS.name
+    for message in reader.messages({name}):
+        text = getattr(deserialize(message.payload, topics.FILTER_PARAMETERS.type_name), "data")
+        try:
+            settings = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ReplayError(f"{name} of '{reader.path}' is not YAML: {error}") from error
+        if isinstance(settings, dict):
+            return settings
+    return {}
+
+
+def _announce(reader: BagReader, writer: BagWriter, prefix: str) -> None:
+    for name, info in reader.topics.items():
+        if name in {prefix + topic.name for topic in topics.INPUTS}:
+            writer.add_topic(
+                name,
+                info.type_name,
+                qos=info.qos,
+                definition=info.definition,
+                type_hash=info.type_hash,
+            )
+    for topic in topics.OUTPUTS:
+        writer.add_topic(prefix + topic.name, topic.type_name, qos=[topic.qos])
+
+
