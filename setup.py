@@ -45,8 +45,8 @@ setup(
         "PyYAML>=6.0,<7",
         "matplotlib>=3.6,<4",
         "tqdm>=4.60,<5",
-        "rosbags>=0.10,<0.12",
-        "mcap>=1.2,<2",
+        "rosbags>=0.11.9,<0.12",
+        "mcap>=1.5,<2",
     ],
     extras_require={
         # colcon test looks for pytest here; without it, it runs no test and reports success.

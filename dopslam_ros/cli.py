@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -51,13 +52,16 @@ class UsageError(ValueError):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command; the exit code is 0, 1 if it failed, 2 if it was asked wrongly, 130 on Ctrl-C."""
+    """Runs a command; returns 0, 1 if it failed, 2 if it was asked wrongly, 130 on Ctrl-C."""
     options = _parser().parse_args(arguments)
     try:
         return int(options.run(options))
     except (UsageError, ScenarioError, ParameterError) as error:
         print(f"dopslam: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except (BagError, OSError, ValueError, RuntimeError) as error:
         print(f"dopslam: {error}", file=sys.stderr)
         return 1
@@ -103,7 +107,11 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("bounds", _bounds, "error bounds at the last step, for several Doppler noises")
     _add_scenario(sub, "paper_bounds")
     sub.add_argument(
-        "--sigma-d", type=_positive, nargs="+", default=SIGMAS, metavar="M/S",
+        "--sigma-d",
+        type=_positive,
+        nargs="+",
+        default=SIGMAS,
+        metavar="M/S",
         help="standard deviations of the Doppler [m/s]; without Doppler is always added",
     )
     _add_json(sub)
@@ -344,7 +352,8 @@ def _print_summary(summary: dict[str, Any]) -> None:
     if "nees_mean" in summary:
         print(f"{'NEES':18}{summary['nees_mean']:10.2f}   4 where the covariance is honest")
     if "correct_association_weight" in summary:
-        print(f"{'association':18}{summary['correct_association_weight']:10.3f}   weight of the true one")
+        weight = summary["correct_association_weight"]
+        print(f"{'association':18}{weight:10.3f}   weight of the true one")
     if "step_ms_p50" in summary:
         print(
             f"{'step time [ms]':18}{summary['step_ms_p50']:10.2f}   median of {summary['steps']}"

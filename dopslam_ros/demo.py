@@ -56,19 +56,22 @@ def run_live(
         "ROS_DOMAIN_ID": str(_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
-    with _node("filter", {}, folder, environment) as filtering, _node(
-        "bounds", {}, folder, environment
-    ) as bounding, _node("recorder", {"bag": bag}, folder, environment) as recording, _node(
-        "simulator",
-        {
-            "scenario": scenario,
-            "seed": seed,
-            "rate": rate,
-            "wait_for_nodes": ",".join(LISTENERS),
-        },
-        folder,
-        environment,
-    ) as simulating:
+    with (
+        _node("filter", {}, folder, environment) as filtering,
+        _node("bounds", {}, folder, environment) as bounding,
+        _node("recorder", {"bag": bag}, folder, environment) as recording,
+        _node(
+            "simulator",
+            {
+                "scenario": scenario,
+                "seed": seed,
+                "rate": rate,
+                "wait_for_nodes": ",".join(LISTENERS),
+            },
+            folder,
+            environment,
+        ) as simulating,
+    ):
         nodes = {
             "filter": filtering,
             "bounds": bounding,
@@ -167,7 +170,7 @@ def difference(live: BagReader, again: BagReader, topic: str) -> str | None:
         return f"{len(first)} messages on {topic} live, {len(second)} in the replay"
     unequal = [n for n, (a, b) in enumerate(zip(first, second, strict=True)) if a != b]
     if unequal:
-        return f"{len(unequal)} of {len(first)} messages on {topic} differ, first number {unequal[0]}"
+        return f"{len(unequal)} of {len(first)} messages on {topic} differ, first: {unequal[0]}"
     return None
 
 
@@ -193,4 +196,3 @@ def new_folder(parent: Path, scenario: Scenario) -> Path:
 def _domain() -> int:
     """A ROS domain that two demos at once are unlikely to share."""
     return 1 + os.getpid() % 100
-

@@ -25,6 +25,8 @@ TRUTH = "0.35"
 ESTIMATE = "#c03030"
 BOUND = "#2060a0"
 MARKS = {LandmarkType.BS: "^", LandmarkType.VA: "s", LandmarkType.SP: "o"}
+# Ellipses are drawn this much larger: at true size they would vanish in a scene of 400 m.
+MAGNIFIED = 10.0
 NAMES = {
     LandmarkType.BS: "base station",
     LandmarkType.VA: "virtual anchor",
@@ -35,7 +37,7 @@ NAMES = {
 def draw_run(run: Replay, path: Path, title: str) -> None:
     """Track, map and errors of a run in one picture.
 
-    Left: true and estimated track and landmarks from above, with 95 % ellipses. Right: error of
+    Left: true and estimated track and landmarks from above, with 95 % ellipses (magnified). Right: error of
     position, heading and clock bias at each step beside the bound (one sigma) and the filter's own
     sigma.
 
@@ -73,8 +75,14 @@ def _draw_map(axes: Axes, run: Replay) -> None:
             place = run.true_map.of_type(kind)
             if len(place):
                 axes.scatter(
-                    *place[:, :2].T, marker=MARKS[kind], s=90, facecolors="none",
-                    edgecolors=TRUTH, linewidths=1.2, label=f"{NAMES[kind]}, true",
+                    place[:, 0],
+                    place[:, 1],
+                    marker=MARKS[kind],
+                    s=90,
+                    facecolors="none",
+                    edgecolors=TRUTH,
+                    linewidths=1.2,
+                    label=f"{NAMES[kind]}, true",
                 )
     truth = np.array([run.truth[s] for s in sorted(run.truth)]).reshape(-1, 4)
     track = np.array([output.state.ue_mean for output in run.outputs]).reshape(-1, 4)
@@ -88,7 +96,11 @@ def _draw_map(axes: Axes, run: Replay) -> None:
         for kind in (LandmarkType.VA, LandmarkType.SP):
             mine = landmarks.types == kind
             axes.scatter(
-                *landmarks.positions[mine, :2].T, marker="x", s=45, color=COLOURS[kind],
+                landmarks.positions[mine, 0],
+                landmarks.positions[mine, 1],
+                marker="x",
+                s=45,
+                color=COLOURS[kind],
                 label=f"{NAMES[kind]}, estimated",
             )
             for place, covariance in zip(
@@ -96,6 +108,7 @@ def _draw_map(axes: Axes, run: Replay) -> None:
             ):
                 axes.add_patch(_ellipse(place[:2], covariance[:2, :2], COLOURS[kind]))
     axes.set_aspect("equal")
+    axes.set_title(f"95 % ellipses, drawn {MAGNIFIED:g} times larger", fontsize="medium")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.grid(alpha=0.3)
@@ -103,9 +116,9 @@ def _draw_map(axes: Axes, run: Replay) -> None:
 
 
 def _ellipse(center: FloatArray, covariance: FloatArray, colour: object) -> Ellipse:
-    """The region that holds the point with ELLIPSOID_PROBABILITY, from above."""
+    """The region that holds the point with ELLIPSOID_PROBABILITY, from above, MAGNIFIED."""
     variances, axes = np.linalg.eigh(covariance)
-    size = 2.0 * np.sqrt(np.maximum(variances, 0.0) * chi2.ppf(ELLIPSOID_PROBABILITY, 2))
+    size = MAGNIFIED * 2.0 * np.sqrt(np.maximum(variances, 0.0) * chi2.ppf(ELLIPSOID_PROBABILITY, 2))
     angle = math.degrees(math.atan2(axes[1, 1], axes[0, 1]))
     return Ellipse(
         tuple(center), size[1], size[0], angle=angle, facecolor="none", edgecolor=colour, lw=1.0
@@ -116,10 +129,7 @@ def _errors(run: Replay) -> FloatArray:
     """(K, 3) magnitudes of the errors of position [m], heading [rad], clock bias [m]."""
     missing = np.full(4, np.nan)
     errors = np.array(
-        [
-            state_errors(o.state.ue_mean, run.truth.get(o.stamp_ns, missing))
-            for o in run.outputs
-        ]
+        [state_errors(o.state.ue_mean, run.truth.get(o.stamp_ns, missing)) for o in run.outputs]
     ).reshape(-1, 4)
     return np.column_stack([np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2:])])
 

@@ -1,7 +1,7 @@
 """Between messages and the core: the only place that knows the fields of both.
 
 The same code builds messages for the middleware and for bags: it gets a function that finds the
-class of a message type, rclpy's in a node (nodes/runtime.py) or rosbags' offline (bag/typestore.py).
+class of a message type: bag.message_class, or the middleware's.
 """
 
 from __future__ import annotations
@@ -112,9 +112,7 @@ def make_measurements(
             covariance=np.ascontiguousarray(covariance).reshape(-1),
             snr_db=float("nan"),
         )
-        for row, covariance in zip(
-            measurements.values, measurements.covariances, strict=True
-        )
+        for row, covariance in zip(measurements.values, measurements.covariances, strict=True)
     ]
     return types(topics.CHANNEL_MEASUREMENTS.type_name)(
         header=make_header(types, time_ns, frames.base), paths=paths
@@ -425,7 +423,12 @@ def make_text(types: Types, text: str) -> Any:
 
 
 def make_diagnostics(
-    types: Types, time_ns: int, name: str, level: int, summary: str, values: Iterable[tuple[str, Any]]
+    types: Types,
+    time_ns: int,
+    name: str,
+    level: int,
+    summary: str,
+    values: Iterable[tuple[str, Any]],
 ) -> Any:
     """A DiagnosticArray with one status; level 0 OK, 1 WARN, 2 ERROR."""
     key_value = types("diagnostic_msgs/msg/KeyValue")

@@ -185,7 +185,8 @@ class _Run:
     ) -> None:
         """The settings of this run, so that the new bag can be replayed in its turn."""
         values = {**settings, **overrides}
-        text = yaml.safe_dump({k: list(v) if isinstance(v, tuple) else v for k, v in values.items()})
+        plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+        text = yaml.safe_dump(plain)
         self._time_ns = reader.start_time_ns or 0
         self._write(topics.FILTER_PARAMETERS, make_text(message_class, text))
 
@@ -256,9 +257,9 @@ def _recorded_settings(reader: BagReader, prefix: str) -> dict[str, Any]:
     """What the filter was set to when the bag was recorded; empty if the bag does not say."""
     name = prefix + topics.FILTER_PARAMETERS.name
     for message in reader.messages({name}):
-        text = getattr(deserialize(message.payload, topics.FILTER_PARAMETERS.type_name), "data")
+        content: Any = deserialize(message.payload, topics.FILTER_PARAMETERS.type_name)
         try:
-            settings = yaml.safe_load(text)
+            settings = yaml.safe_load(content.data)
         except yaml.YAMLError as error:
             raise ReplayError(f"{name} of '{reader.path}' is not YAML: {error}") from error
         if isinstance(settings, dict):
@@ -278,5 +279,3 @@ def _announce(reader: BagReader, writer: BagWriter, prefix: str) -> None:
             )
     for topic in topics.OUTPUTS:
         writer.add_topic(prefix + topic.name, topic.type_name, qos=[topic.qos])
-
-

@@ -29,9 +29,7 @@ Message = tuple[topics.Topic, Any]
 def map_message(scenario: Scenario, time_ns: int, frames: Frames) -> Message:
     """The true landmarks of a scenario."""
     estimates = true_landmarks(scenario.landmarks, scenario.landmark_types)
-    return topics.TRUTH_LANDMARKS, make_map(
-        message_class, time_ns, estimates, scenario.bs, frames
-    )
+    return topics.TRUTH_LANDMARKS, make_map(message_class, time_ns, estimates, scenario.bs, frames)
 
 
 def snapshot_messages(snapshot: Snapshot, time_ns: int, frames: Frames) -> list[Message]:

@@ -1,13 +1,9 @@
-"""Saving what can be read of a damaged bag: ``python3 -m dopslam_ros.bag.repair OLD NEW``."""
+"""Saving what can be read of a damaged bag: ``dopslam recover OLD NEW``."""
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from dopslam_ros.bag.errors import BagError
 from dopslam_ros.bag.reader import BagReader
 from dopslam_ros.bag.writer import BagWriter
 
@@ -42,25 +38,3 @@ def repair(source: Path, target: Path) -> BagReader:
                 message.topic, message.payload, message.log_time_ns, message.publish_time_ns
             )
     return reader
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Repair the bag named on the command line; return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python3 -m dopslam_ros.bag.repair",
-        description="Write what can be read of a damaged bag to a new one.",
-    )
-    parser.add_argument("old", type=Path, help="folder of the bag, or an MCAP file; not changed")
-    parser.add_argument("new", type=Path, help="folder of the new bag; must not exist")
-    options = parser.parse_args(arguments)
-    try:
-        reader = repair(options.old, options.new)
-    except BagError as error:
-        print(error, file=sys.stderr)
-        return 1
-    print(f"{reader.message_count} messages are in '{options.new}'; damage: {reader.damage}")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

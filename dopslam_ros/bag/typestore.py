@@ -58,7 +58,10 @@ def message_class(type_name: str) -> type[object]:
 
 
 def serialize(message: object, type_name: str) -> bytes:
-    """Serialise a message in CDR, little-endian, as the middleware does.
+    """Serialise a message in CDR, little-endian, as the middleware sends it.
+
+    Gaps are zero and the end is padded to a multiple of four bytes, as the wire protocol (RTPS)
+    does: a subscriber that takes raw bytes gets exactly these.
 
     Args:
         message: Object of ``message_class(type_name)``.
@@ -69,9 +72,10 @@ def serialize(message: object, type_name: str) -> bytes:
     """
     message_class(type_name)
     try:
-        return bytes(typestore().serialize_cdr(message, type_name, little_endian=True))
+        payload = bytes(typestore().serialize_cdr(message, type_name, little_endian=True))
     except Exception as error:  # the library raises whatever the field's value provokes
         raise BagTypeError(f"this message is no {type_name}: {error!r}") from error
+    return payload + bytes(-len(payload) % 4)
 
 
 def deserialize(payload: bytes, type_name: str) -> object:

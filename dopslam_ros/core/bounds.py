@@ -188,4 +188,4 @@ def _add_information(covariance: FloatArray, data: FloatArray) -> FloatArray:
     """
     factor = np.linalg.cholesky(covariance)
     inner = np.eye(len(covariance)) + symmetrise(factor.T @ data @ factor)
-    return symmetrise(factor @ np.linalg.solve(inner, factor.T))
+    return symmetrise(np.asarray(factor @ np.linalg.solve(inner, factor.T), dtype=np.float64))

@@ -46,7 +46,7 @@ class Paths(NamedTuple):
         ue_jacobian: (M, 6, 4) A = dh/ds.
         landmark_jacobian: (M, 6, 3) B = dh/dx; zero for a BS, whose place is known.
         degenerate: (M,) the geometry has no answer (vehicle or BS at the landmark, vehicle exactly
-            under it, VA at the BS). The row is then finite but means nothing, its Jacobians are zero.
+            under it, VA at the BS). The row is then finite but means nothing; Jacobians are zero.
         facing: (M,) the path can exist: for a VA, vehicle and BS are on the same side of the wall.
     """
 
@@ -79,16 +79,70 @@ def observe(
         bs_position: (3,) [m].
         ue_height: z of the vehicle's antenna [m].
     """
+    rays = _trace(state, positions, types, bs_position, ue_height)
+    heading = np.array([np.cos(state[2]), np.sin(state[2]), 0.0])
+    sideways = np.array([-heading[1], heading[0], 0.0])
+
+    mean = np.empty((len(types), DIM))
+    mean[:, 0] = rays.distance + np.where(rays.is_sp, rays.leg, 0.0) + state[3]
+    mean[:, 1], mean[:, 2] = _angles(rays.arrival)
+    mean[:, 1] = wrap_angle(mean[:, 1] - state[2])
+    mean[:, 3], mean[:, 4] = _angles(rays.departure)
+    mean[:, 5] = rays.arrival @ (speed * heading)
+
+    by_ue, by_landmark = _position_jacobians(rays, speed * heading)
+    ue_jacobian = np.zeros((len(types), DIM, 4))
+    ue_jacobian[:, :, :2] = by_ue[:, :, :2]
+    ue_jacobian[:, 1, 2] = -1.0
+    ue_jacobian[:, 5, 2] = rays.arrival @ (speed * sideways)
+    ue_jacobian[:, 0, 3] = 1.0
+    ue_jacobian[rays.degenerate] = 0.0
+    by_landmark[rays.degenerate] = 0.0
+    return Paths(mean, ue_jacobian, by_landmark, rays.degenerate, rays.facing)
+
+
+class _Rays(NamedTuple):
+    """Lines of M paths: to where they arrive from, and from the BS to the landmark.
+
+    Attributes:
+        is_bs: (M,).
+        is_va: (M,).
+        is_sp: (M,).
+        distance: (M,) from the vehicle to the landmark [m].
+        arrival: (M, 3) unit vector to it, q_AOA.
+        leg: (M,) from the BS to the landmark; for the BS, to the vehicle [m].
+        leg_direction: (M, 3) unit vector along it; for a VA the normal of its wall.
+        departure: (M, 3) unit vector, q_AOD.
+        degenerate: as in Paths.
+        facing: as in Paths.
+    """
+
+    is_bs: BoolArray
+    is_va: BoolArray
+    is_sp: BoolArray
+    distance: FloatArray
+    arrival: FloatArray
+    leg: FloatArray
+    leg_direction: FloatArray
+    departure: FloatArray
+    degenerate: BoolArray
+    facing: BoolArray
+
+
+def _trace(
+    state: FloatArray,
+    positions: FloatArray,
+    types: IntArray,
+    bs_position: FloatArray,
+    ue_height: float,
+) -> _Rays:
     ue = np.array([state[0], state[1], ue_height])
     is_bs, is_va, is_sp = (types == kind for kind in LandmarkType)
     target = np.where(is_bs[:, None], bs_position, positions)
-
     to_target = target - ue
-    bs_to_point = np.where(is_bs[:, None], -to_target, target - bs_position)
     distance, arrival = _normalise(to_target)
-    leg, leg_direction = _normalise(bs_to_point)
+    leg, leg_direction = _normalise(np.where(is_bs[:, None], -to_target, target - bs_position))
     departure = np.where(is_va[:, None], _mirror(-arrival, leg_direction), leg_direction)
-
     degenerate = (
         (distance < SMALLEST_DISTANCE)
         | (leg < SMALLEST_DISTANCE)
@@ -98,54 +152,37 @@ def observe(
     # Signed distance of the vehicle from the wall, the BS being at the negative side.
     beyond_wall = np.einsum("mi,mi->m", ue - 0.5 * (target + bs_position), leg_direction)
     facing = ~degenerate & (~is_va | (beyond_wall < -SMALLEST_DISTANCE))
+    return _Rays(
+        is_bs, is_va, is_sp, distance, arrival, leg, leg_direction, departure, degenerate, facing
+    )
 
-    heading = np.array([np.cos(state[2]), np.sin(state[2]), 0.0])
-    velocity = speed * heading
-    doppler = arrival @ velocity
 
-    mean = np.empty((len(types), DIM))
-    mean[:, 0] = distance + np.where(is_sp, leg, 0.0) + state[3]
-    mean[:, 1], mean[:, 2] = _angles(arrival)
-    mean[:, 1] = wrap_angle(mean[:, 1] - state[2])
-    mean[:, 3], mean[:, 4] = _angles(departure)
-    mean[:, 5] = doppler
+def _position_jacobians(rays: _Rays, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives (M, 6, 3) of h by the position of the vehicle and by that of the landmark."""
+    arrival, normal = rays.arrival, rays.leg_direction
+    distance = np.maximum(rays.distance, SMALLEST_DISTANCE)[:, None]
+    leg = np.maximum(rays.leg, SMALLEST_DISTANCE)[:, None, None]
+    across = (np.eye(3) - arrival[:, :, None] * arrival[:, None, :]) / distance[:, :, None]
+    across_leg = (np.eye(3) - normal[:, :, None] * normal[:, None, :]) / leg
+    by_arrival, by_departure = _angle_jacobian(arrival), _angle_jacobian(rays.departure)
 
-    # Derivatives with respect to the vehicle's and to the landmark's position, (M, 6, 3) each.
-    safe = np.maximum(distance, SMALLEST_DISTANCE)[:, None]
-    safe_leg = np.maximum(leg, SMALLEST_DISTANCE)[:, None, None]
-    across = (np.eye(3) - arrival[:, :, None] * arrival[:, None, :]) / safe[:, :, None]
-    across_leg = (np.eye(3) - leg_direction[:, :, None] * leg_direction[:, None, :]) / safe_leg
-    by_arrival = _angle_jacobian(arrival)
-    by_departure = _angle_jacobian(departure)
-    kinds = [is_bs[:, None, None], is_va[:, None, None]]
-
-    by_landmark = np.empty((len(types), DIM, 3))
-    by_landmark[:, 0] = arrival + np.where(is_sp[:, None], leg_direction, 0.0)
+    by_landmark = np.empty((len(arrival), DIM, 3))
+    by_landmark[:, 0] = arrival + np.where(rays.is_sp[:, None], normal, 0.0)
     by_landmark[:, 1:3] = by_arrival @ across
-    by_landmark[:, 5] = (velocity - doppler[:, None] * arrival) / safe
-
-    by_ue = np.empty((len(types), DIM, 3))
+    by_landmark[:, 5] = (velocity - (arrival @ velocity)[:, None] * arrival) / distance
+    by_ue = -by_landmark
     by_ue[:, 0] = -arrival
-    by_ue[:, 1:3] = -by_landmark[:, 1:3]
-    by_ue[:, 5] = -by_landmark[:, 5]
 
-    mirrored = _mirror(across, leg_direction)
-    turned = _mirror_derivative(-arrival, leg_direction, across_leg)
+    # The departure: along the leg for BS and SP, mirrored at the wall for a VA.
+    kinds = [rays.is_bs[:, None, None], rays.is_va[:, None, None]]
+    mirrored = _mirror(across, normal)
+    turned = _mirror_derivative(-arrival, normal, across_leg)
     by_ue[:, 3:5] = by_departure @ np.select(kinds, [across_leg, mirrored], 0.0)
     by_landmark[:, 3:5] = by_departure @ np.select(
         kinds, [np.zeros_like(mirrored), turned - mirrored], across_leg
     )
-    by_landmark[is_bs] = 0.0
-
-    ue_jacobian = np.zeros((len(types), DIM, 4))
-    ue_jacobian[:, :, :2] = by_ue[:, :, :2]
-    ue_jacobian[:, 1, 2] = -1.0
-    ue_jacobian[:, 5, 2] = arrival @ (speed * np.array([-heading[1], heading[0], 0.0]))
-    ue_jacobian[:, 0, 3] = 1.0
-
-    ue_jacobian[degenerate] = 0.0
-    by_landmark[degenerate] = 0.0
-    return Paths(mean, ue_jacobian, by_landmark, degenerate, facing)
+    by_landmark[rays.is_bs] = 0.0
+    return by_ue, by_landmark
 
 
 def incidence_points(
@@ -210,8 +247,10 @@ def _angle_jacobian(direction: FloatArray) -> FloatArray:
 def _mirror(vectors: FloatArray, normal: FloatArray) -> FloatArray:
     """(I - 2 n n') applied to (M, 3) vectors or to the columns of (M, 3, k) matrices."""
     if vectors.ndim == 2:
-        return vectors - 2.0 * normal * np.einsum("mi,mi->m", normal, vectors)[:, None]
-    return vectors - 2.0 * normal[:, :, None] * np.einsum("mi,mik->mk", normal, vectors)[:, None, :]
+        along = np.einsum("mi,mi->m", normal, vectors)
+        return np.asarray(vectors - 2.0 * normal * along[:, None])
+    rows = np.einsum("mi,mik->mk", normal, vectors)
+    return np.asarray(vectors - 2.0 * normal[:, :, None] * rows[:, None, :])
 
 
 def _mirror_derivative(
@@ -220,5 +259,4 @@ def _mirror_derivative(
     """d/dx of (I - 2 n n') u for fixed u (M, 3), given dn/dx (M, 3, 3)."""
     along = np.einsum("mi,mi->m", normal, vector)[:, None, None]
     turned = np.einsum("mi,mij->mj", vector, normal_jacobian)
-    return -2.0 * (along * normal_jacobian + normal[:, :, None] * turned[:, None, :])
-
+    return np.asarray(-2.0 * (along * normal_jacobian + normal[:, :, None] * turned[:, None, :]))

@@ -89,6 +89,7 @@ def summarise(runs: Sequence[Sequence[StepRecord]]) -> dict[str, Any]:
 
     What is not known in any step is left out.
     """
+
     def table(name: str) -> FloatArray:
         return np.array([[getattr(step, name) for step in run] for run in runs], dtype=np.float64)
 
@@ -107,9 +108,9 @@ def summarise(runs: Sequence[Sequence[StepRecord]]) -> dict[str, Any]:
         summary["clock_bias_rmse"] = errors.clock_bias
         summary["nees_mean"] = float(np.nanmean(table("nees")))
     for name in ("gospa_va", "gospa_sp"):
-        known = table(name)
-        if np.isfinite(known).all():
-            summary[name] = known.mean(axis=0).tolist()
+        distances = table(name)
+        if np.isfinite(distances).all():
+            summary[name] = distances.mean(axis=0).tolist()
     bound = np.square(table("bound"))
     known = np.isfinite(bound).all(axis=2)
     if known.any():

@@ -1,12 +1,13 @@
 """A filter that knows which path came from which landmark: the best any association can do.
 
-A baseline for studies and the oracle that the bounds are checked against; it reads the true sources.
+A baseline for studies and the oracle that the bounds are checked against. It is told the true
+source of every path.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,9 +84,7 @@ def genie_step(
         MeasurementSet(measurements.values[real], measurements.covariances[real]), parameters
     )
     predicted = GenieState(mean, covariance, state.sources)
-    ready, kept = _with_new_landmarks(
-        predicted, observed, sources[real], types, speed, parameters
-    )
+    ready, kept = _with_new_landmarks(predicted, observed, sources[real], types, speed, parameters)
     observed = Observed(observed.values[kept], observed.used[kept], observed.noise[kept])
     return _update(ready, observed, sources[real][kept], types, speed, parameters)
 
@@ -99,9 +98,11 @@ def _with_new_landmarks(
     parameters: FilterParameters,
 ) -> tuple[GenieState, IntArray]:
     """Appends landmarks never seen, diffuse, where their path puts them; and the usable paths."""
-    base = initial_filter_state(parameters)
-    object.__setattr__(base, "mean", state.mean[:UE])
-    object.__setattr__(base, "covariance", state.covariance[:UE, :UE])
+    base = replace(
+        initial_filter_state(parameters),
+        mean=state.mean[:UE],
+        covariance=state.covariance[:UE, :UE],
+    )
     births = propose(base, observed, speed, parameters)
     new, kept = [], []
     for path, source in enumerate(sources.tolist()):
@@ -136,18 +137,18 @@ def _update(
     columns = block_indices(UE, place, 3)
     kinds = np.where(is_bs, int(LandmarkType.BS), types[sources])
     noise = np.zeros((count * DIM, count * DIM))
-    for path in range(count):
-        block = slice(DIM * path, DIM * path + DIM)
-        noise[block, block] = observed.noise[path]
+    for number in range(count):
+        block = slice(DIM * number, DIM * number + DIM)
+        noise[block, block] = observed.noise[number]
     mean = state.mean
     for _ in range(ITERATIONS):
         positions = np.where(is_bs[:, None], parameters.bs, mean[np.minimum(columns, size - 1)])
         paths = observe(mean[:UE], speed, positions, kinds, parameters.bs, parameters.ue_height)
-        rows = np.zeros((count, DIM, size))
-        rows[:, :, :UE] = paths.ue_jacobian
+        blocks = np.zeros((count, DIM, size))
+        blocks[:, :, :UE] = paths.ue_jacobian
         for path in np.flatnonzero(~is_bs):
-            rows[path][:, columns[path]] = paths.landmark_jacobian[path]
-        rows = (rows * observed.used[:, :, None]).reshape(-1, size)
+            blocks[path][:, columns[path]] = paths.landmark_jacobian[path]
+        rows = (blocks * observed.used[:, :, None]).reshape(-1, size)
         innovation = masked_residual(observed, paths.mean).ravel()
         innovation = innovation + rows @ _difference(mean, state.mean)
         projected = rows @ state.covariance

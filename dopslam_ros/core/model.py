@@ -157,9 +157,7 @@ def detection_probabilities(
         inside = (distance <= model.sp_field_of_view).astype(np.float64)
     else:
         inside = ndtr((model.sp_field_of_view - distance) / np.maximum(spread, 1e-9))
-    return np.asarray(
-        model.detection_probability * np.where(types == LandmarkType.SP, inside, 1.0)
-    )
+    return np.asarray(model.detection_probability * np.where(types == LandmarkType.SP, inside, 1.0))
 
 
 def clutter_box(model: ModelParameters) -> FloatArray:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import yaml
 
@@ -60,7 +61,8 @@ class Declaration:
         """
         if isinstance(self.default, tuple):
             return self._check_tuple(value)
-        return self._check_scalar(value)
+        scalar: Value = self._check_scalar(value)
+        return scalar
 
     def range_text(self) -> str:
         """The values allowed, in words."""
@@ -74,7 +76,7 @@ class Declaration:
 
     def _check_tuple(self, value: object) -> Value:
         if isinstance(value, str) or not isinstance(value, Sequence):
-            # NumPy and array.array values come from ROS; anything else with tolist() is welcome too.
+            # NumPy and array.array values come from ROS.
             tolist = getattr(value, "tolist", None)
             if tolist is None:
                 raise self._error(value, "give a list")
@@ -83,9 +85,9 @@ class Declaration:
         items = tuple(self._check_scalar(item) for item in value)
         if self.size is not None and len(items) != self.size:
             raise self._error(value, f"give {self.size} numbers, not {len(items)}")
-        if self.increasing and any(not b > a for a, b in zip(items, items[1:], strict=False)):  # type: ignore[operator]
+        if self.increasing and any(not b > a for a, b in itertools.pairwise(items)):
             raise self._error(value, "give the smaller number first")
-        return items  # type: ignore[return-value]
+        return items
 
     def _check_scalar(self, value: object) -> Any:
         sample = self.default
@@ -157,7 +159,7 @@ def parameter(
 def declarations(parameters: type[Any]) -> tuple[Declaration, ...]:
     """The declarations of a parameter dataclass, in the order they are written."""
     return tuple(
-        Declaration(name=field.name, default=field.default, **field.metadata["parameter"])
+        Declaration(field.name, cast(Value, field.default), **field.metadata["parameter"])
         for field in dataclasses.fields(parameters)
         if "parameter" in field.metadata
     )
@@ -208,9 +210,7 @@ def to_mapping(instance: object) -> dict[str, Any]:
 def shared_values(source: object, target: type[Any]) -> dict[str, Any]:
     """The values of ``source`` for those parameters that ``target`` declares too."""
     wanted = {d.name for d in declarations(target)}
-    return {
-        d.name: getattr(source, d.name) for d in declarations(type(source)) if d.name in wanted
-    }
+    return {d.name: getattr(source, d.name) for d in declarations(type(source)) if d.name in wanted}
 
 
 def commented_yaml(instance: object, *, ros: bool = False) -> str:

@@ -67,7 +67,8 @@ class Scenario(ModelParameters):
 def builtin_scenarios() -> list[str]:
     """Names of the scenes that come with the package."""
     folder = resources.files("dopslam_ros") / "scenarios"
-    return sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if f.name.endswith(".yaml"))
+    files = (file.name for file in folder.iterdir())
+    return sorted(name.removesuffix(".yaml") for name in files if name.endswith(".yaml"))
 
 
 def load_scenario(source: str | Path) -> Scenario:
@@ -96,7 +97,7 @@ def load_scenario(source: str | Path) -> Scenario:
 
 
 def _with_base(content: object) -> object:
-    """A file that says ``base: NAME`` changes some values of a scene that comes with the package."""
+    """A file that says ``base: NAME`` changes values of a scene that comes with the package."""
     if not isinstance(content, Mapping) or "base" not in content:
         return content
     base = str(content["base"])
@@ -140,9 +141,7 @@ def _parse_landmarks(entries: object) -> tuple[FloatArray, IntArray]:
 
 def _parse_controls(entries: object) -> tuple[Control, ...]:
     if not isinstance(entries, list) or not entries:
-        raise ScenarioError(
-            "'controls' must be a list of {steps: n, speed: m/s, turn_rate: rad/s}"
-        )
+        raise ScenarioError("'controls' must be a list of {steps: n, speed: m/s, turn_rate: rad/s}")
     controls: list[Control] = []
     for number, entry in enumerate(entries, start=1):
         where = f"control {number} of {len(entries)}"

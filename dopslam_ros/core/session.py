@@ -83,9 +83,7 @@ class FilterSession:
         """Sets that wait for their control."""
         return self._sequencer.pending
 
-    def add_control(
-        self, stamp_ns: int, speed: float, turn_rate: float
-    ) -> Iterator[FilterOutput]:
+    def add_control(self, stamp_ns: int, speed: float, turn_rate: float) -> Iterator[FilterOutput]:
         """A control; yields the results it was waited for.
 
         Raises:
@@ -222,9 +220,7 @@ class BoundsSession:
         """States that wait for their control."""
         return self._sequencer.pending
 
-    def add_control(
-        self, stamp_ns: int, speed: float, turn_rate: float
-    ) -> Iterator[BoundsOutput]:
+    def add_control(self, stamp_ns: int, speed: float, turn_rate: float) -> Iterator[BoundsOutput]:
         """A control; yields the bounds it was waited for. Raises Refused."""
         self._sequencer.add_control(stamp_ns, speed, turn_rate)
         return map(self._step, self._sequencer.ready())
@@ -270,4 +266,3 @@ class BoundsSession:
             results.append(bounds_of(state, ids[1:]))
         self._ue = world.ue
         return BoundsOutput(timed.stamp_ns, ids[1:], types[1:], results[0], results[1])
-

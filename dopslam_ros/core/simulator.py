@@ -80,9 +80,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Iterator[Snapshot]
         measurements, sources = _draw_set(
             scenario, state, control, paths.spawn(1)[0], clutter.spawn(1)[0]
         )
-        yield Snapshot(
-            step, scenario.stamp_ns(step), control, state.copy(), measurements, sources
-        )
+        yield Snapshot(step, scenario.stamp_ns(step), control, state.copy(), measurements, sources)
         state = propagate(state, control, scenario.period) + noises.normal(0.0, noise_std)
         state[2] = wrap_angle(state[2])
 

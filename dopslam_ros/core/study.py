@@ -130,7 +130,6 @@ class SourceTracker:
         return BS_ID if source == 0 else self._owner.get(source, UNASSIGNED)
 
 
-
 def nominal_bounds(scenario: Scenario) -> Bounds:
     """Bounds at the last step along the path without process noise, detections in expectation."""
     bounding = BoundsSession(bounds_parameters_for(scenario))

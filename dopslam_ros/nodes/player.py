@@ -113,9 +113,7 @@ class PlayerNode(DopslamNode):
     def _wait(self) -> None:
         missing = self.joined(self._wait_for, self._players.values())
         if missing:
-            self.get_logger().info(
-                f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0
-            )
+            self.get_logger().info(f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0)
             return
         self.destroy_timer(self._timer)
         # The wall clock drives the player: it may well be the source of the ROS time.

@@ -82,7 +82,7 @@ class Output:
     clear.
     """
 
-    def __init__(self, publisher: Publisher[Any], type_name: str) -> None:
+    def __init__(self, publisher: Publisher, type_name: str) -> None:
         self.publisher = publisher
         self._type_name = type_name
 
@@ -147,7 +147,7 @@ class DopslamNode(Node):
                     f"parameter '{name}' is given but unknown to this node, and ignored"
                 )
 
-    def _check_change(self, changes: list[Parameter[Any]]) -> SetParametersResult:
+    def _check_change(self, changes: list[Parameter]) -> SetParametersResult:
         new = {change.name: change.value for change in changes}
         for number, current in enumerate(self._parameter_sets):
             known = {d.name: d for d in declarations(type(current))}
@@ -197,7 +197,7 @@ class DopslamNode(Node):
         """A node's last subscription: who sees this one has seen the others, see ``joined``."""
         self.subscribe(topic, callback)
 
-    def joined(self, names: Sequence[str], publishers: Iterable[Publisher[Any]]) -> list[str]:
+    def joined(self, names: Sequence[str], publishers: Iterable[Publisher]) -> list[str]:
         """Which of the named nodes of this namespace do not get our messages yet.
 
         All nodes of this package subscribe to the controls, and to them last. Once one is there and
@@ -341,7 +341,6 @@ def _bad_start_value(declared: Declaration, given: Any, error: Exception) -> str
 def serve(node_type: Callable[[], DopslamNode]) -> None:
     """Entry point of an executable."""
     raise SystemExit(run(node_type))
-
 
 
 def names(text: str) -> list[str]:

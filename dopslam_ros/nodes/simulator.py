@@ -86,9 +86,7 @@ class SimulatorNode(DopslamNode):
         publishers = [output.publisher for output in self._outputs.values()]
         missing = self.joined(self._wait_for, publishers)
         if missing:
-            self.get_logger().info(
-                f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0
-            )
+            self.get_logger().info(f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0)
             return
         now = self.get_clock().now().nanoseconds
         start = round(self._start_time * 1e9) if self._start_time > 0.0 else now

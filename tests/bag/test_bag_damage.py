@@ -16,7 +16,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from dopslam_ros.bag import BagError, BagReader, BagWriter, typestore
-from dopslam_ros.bag.repair import main, repair
+from dopslam_ros.bag.repair import repair
 
 UE_STATE = "dopslam_msgs/msg/UeState"
 MAGIC = b"\x89MCAP0\r\n"
@@ -63,7 +63,7 @@ def test_cut_costs_at_most_the_chunk_it_hits(tmp_path: Path, samples: Any, write
     assert f"breaks off after {len(half)} messages without its index" in damage
     assert "killed" not in damage
     assert "by a kill or a full disk" in damage
-    assert "python3 -m dopslam_ros.bag.repair" in damage
+    assert "dopslam recover" in damage
 
 
 @pytest.mark.parametrize("compressed", [False, True])
@@ -241,13 +241,3 @@ def test_repair_makes_a_whole_bag(tmp_path: Path, samples: Any, write_bag: Any) 
     assert saved.topics == reader.topics
     with AnyReader([tmp_path / "saved"]) as witness:
         assert sum(1 for _ in witness.messages()) == reader.message_count > 100
-
-
-def test_repair_on_the_command_line(
-    tmp_path: Path, samples: Any, write_bag: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = write_bag(tmp_path / "bag", samples)
-    assert main([str(path), str(tmp_path / "new")]) == 0
-    assert "300 messages" in capsys.readouterr().out
-    assert main([str(path), str(tmp_path / "new")]) == 1
-    assert "exists already" in capsys.readouterr().err

@@ -65,7 +65,7 @@ def fresh_caches() -> Iterator[None]:
         cached.cache_clear()
 
 
-@pytest.mark.parametrize("type_name", [*OWN, "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"])
+@pytest.mark.parametrize("type_name", [*OWN, "nav_msgs/msg/Odometry"])
 def test_hash_is_the_installed_one(type_name: str) -> None:
     path = SHARE / f"{type_name}.json"
     if not path.is_file():
@@ -169,8 +169,9 @@ def test_bytes_are_those_of_rclpy(type_name: str) -> None:
         ours, theirs = _random_message(type_name, rng)
         payload, reference = serialize(ours, type_name), serialize_message(theirs)
         gaps = _gaps(ours, type_name)
-        assert len(payload) == len(reference)
-        assert {i for i in range(len(payload)) if payload[i] != reference[i]} <= gaps
+        assert len(payload) == len(reference) + -len(reference) % 4
+        assert not any(payload[len(reference) :])
+        assert {i for i in range(len(reference)) if payload[i] != reference[i]} <= gaps
         assert not any(payload[i] for i in gaps)
         assert canonical(reference, type_name) == payload
         assert serialize(deserialize(payload, type_name), type_name) == payload

@@ -127,9 +127,7 @@ def initial_incidence_points(
         crossing,
     )
     direct = float(np.linalg.norm(bs - ue))
-    located = np.where(
-        has[:, 0], (arrival | departure) & (length > direct), has[:, 1] & has[:, 3]
-    )
+    located = np.where(has[:, 0], (arrival | departure) & (length > direct), has[:, 1] & has[:, 3])
     located = located & np.isfinite(points).all(axis=1)
     return np.where(located[:, None], points, ue + np.array([1.0, 1.0, 1.0])), located
 
@@ -166,7 +164,7 @@ def _linearise(
     off_prior[:, 2] = parameters.landmark_height_mean - position[:, 2]
     information = symmetrise(weighted @ b + prior)
     right = (weighted @ innovation[:, :, None])[:, :, 0] + off_prior @ prior
-    covariance = symmetrise(np.linalg.solve(information, np.eye(3)[None]))
+    covariance = symmetrise(np.asarray(np.linalg.solve(information, np.eye(3)[None]), np.float64))
     mismatch, log_noise = gaussian_terms(noise, innovation)
     return _Fit(
         paths=paths,
@@ -203,9 +201,7 @@ def _virtual_anchors(
 def _direction(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
     """(J, 3) unit vectors."""
     ground = np.cos(elevation)
-    return np.stack(
-        [ground * np.cos(azimuth), ground * np.sin(azimuth), np.sin(elevation)], axis=1
-    )
+    return np.stack([ground * np.cos(azimuth), ground * np.sin(azimuth), np.sin(elevation)], axis=1)
 
 
 def _ellipsoid_point(
@@ -224,8 +220,10 @@ def _ellipsoid_point(
     for _ in range(10):  # settles the elevation towards the prior height where it is unknown
         direction = _direction(azimuth, elevation)
         denominator = length + direction @ offset
-        reach = 0.5 * (length**2 - offset @ offset) / np.where(
-            np.abs(denominator) < 1e-6, np.nan, denominator
+        reach = (
+            0.5
+            * (length**2 - offset @ offset)
+            / np.where(np.abs(denominator) < 1e-6, np.nan, denominator)
         )
         point = focus + reach[:, None] * direction
         if not unknown.any():

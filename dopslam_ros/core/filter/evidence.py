@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, symmetrise
 from dopslam_ros.core.channel import DIM, LandmarkType, Paths, observe, residual
-from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
+from dopslam_ros.core.filter.state import FilterParameters, FilterState
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import detection_probabilities
 
@@ -68,12 +68,12 @@ def prepare(measurements: MeasurementSet, parameters: FilterParameters) -> Obser
 
 def masked_residual(observed: Observed, expected: FloatArray) -> FloatArray:
     """z - h (..., J, 6) for h (..., J or 1, 6), zero where not used."""
-    return np.nan_to_num(residual(observed.values, expected), nan=0.0)
+    return np.asarray(np.nan_to_num(residual(observed.values, expected), nan=0.0))
 
 
 def log_normaliser(observed: Observed) -> FloatArray:
     """(J,) d ln(2 pi) with d the number of components that count."""
-    return observed.used.sum(axis=1) * LOG_2PI
+    return np.asarray(observed.used.sum(axis=1) * LOG_2PI)
 
 
 def weigh(
@@ -89,9 +89,7 @@ def weigh(
     """
     positions = np.vstack([parameters.bs, state.positions])
     types = np.concatenate([[int(LandmarkType.BS)], state.component_type]).astype(np.int64)
-    paths = observe(
-        state.ue_mean, speed, positions, types, parameters.bs, parameters.ue_height
-    )
+    paths = observe(state.ue_mean, speed, positions, types, parameters.bs, parameters.ue_height)
     innovation_covariance = _projected_covariance(state, paths)
     spread = _distance_std(state, positions, parameters)
     ue = np.append(state.ue_mean[:2], parameters.ue_height)
@@ -140,7 +138,7 @@ def _distance_std(
     cross[:, :2] = state.cross_covariances[:, :2]
     covariance[1:] += state.position_covariances - cross - np.swapaxes(cross, 1, 2)
     variance = np.einsum("mi,mij,mj->m", direction, covariance, direction)
-    return np.sqrt(np.maximum(variance, 0.0))
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def source_tracks(state: FilterState) -> IntArray:

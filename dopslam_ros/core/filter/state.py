@@ -20,9 +20,7 @@ UE = 4
 class FilterParameters(OnlineParameters):
     """Settings of the EK-PMB filter beside the models."""
 
-    gamma: int = parameter(
-        10, "Number of best data associations kept in a step.", low=1, high=1000
-    )
+    gamma: int = parameter(10, "Number of best data associations kept in a step.", low=1, high=1000)
     coupling: str = parameter(
         "joint",
         "Whether the correlation between vehicle and map is kept from step to step (joint) or"
@@ -78,7 +76,7 @@ class FilterParameters(OnlineParameters):
 
 @dataclass(frozen=True)
 class FilterState:
-    """The PMB density: one Gaussian over vehicle and landmark components, and the rest per landmark.
+    """The PMB density: a Gaussian over vehicle and landmark components, the rest per landmark.
 
     A landmark (track) has a component for each type it may still be. The joint vector is
     [s; x_1 ... x_C]; with ``coupling: marginal`` the covariance is block diagonal between steps.

@@ -96,9 +96,7 @@ def condition(
     taken = np.flatnonzero((hypotheses.source != UNASSIGNED).any(axis=0))
     source = hypotheses.source[:, taken]
     assigned = source != UNASSIGNED
-    rows = _measurement_rows(
-        source, assigned, evidence, observed.used[taken], len(state.mean)
-    )
+    rows = _measurement_rows(source, assigned, evidence, observed.used[taken], len(state.mean))
     innovation = np.where(
         assigned[:, :, None], evidence.innovation[source, taken[None, :]], 0.0
     ).reshape(len(source), -1)
@@ -110,17 +108,13 @@ def condition(
         block = slice(DIM * path, DIM * (path + 1))
         s[:, block, block] += noise[:, path]
     factor = np.linalg.cholesky(symmetrise(s))
-    white = np.linalg.solve(
-        factor, np.concatenate([projected, innovation[:, :, None]], axis=2)
-    )
+    white = np.linalg.solve(factor, np.concatenate([projected, innovation[:, :, None]], axis=2))
     gain, white_innovation = np.swapaxes(white[:, :, :-1], 1, 2), white[:, :, -1:]
     mean = state.mean + (gain @ white_innovation)[:, :, 0]
     return mean, symmetrise(state.covariance - gain @ white[:, :, :-1])
 
 
-def judge(
-    augmented: Augmented, evidence: Evidence, hypotheses: Hypotheses
-) -> Outcomes:
+def judge(augmented: Augmented, evidence: Evidence, hypotheses: Hypotheses) -> Outcomes:
     """Existence and type of every landmark under every hypothesis."""
     state = augmented.state
     old = len(evidence.detection) - 1
@@ -144,10 +138,10 @@ def judge(
     for h, t, c in zip(hypothesis, track, source, strict=True):
         type_weight[h, state.component_track == t] = 0.0
         type_weight[h, c] = 1.0
-    for path, track in enumerate(augmented.birth_track):
-        if track != UNASSIGNED:
-            free = hypotheses.source[:, path] == UNASSIGNED
-            existence[:, track] = np.where(free, state.existence[track], 0.0)
+    for number, born in enumerate(augmented.birth_track.tolist()):
+        if born != UNASSIGNED:
+            free = hypotheses.source[:, number] == UNASSIGNED
+            existence[:, born] = np.where(free, state.existence[born], 0.0)
     return Outcomes(existence, type_weight)
 
 
