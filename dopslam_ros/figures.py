@@ -118,7 +118,9 @@ def _draw_map(axes: Axes, run: Replay) -> None:
 def _ellipse(center: FloatArray, covariance: FloatArray, colour: object) -> Ellipse:
     """The region that holds the point with ELLIPSOID_PROBABILITY, from above, MAGNIFIED."""
     variances, axes = np.linalg.eigh(covariance)
-    size = MAGNIFIED * 2.0 * np.sqrt(np.maximum(variances, 0.0) * chi2.ppf(ELLIPSOID_PROBABILITY, 2))
+    size = (
+        MAGNIFIED * 2.0 * np.sqrt(np.maximum(variances, 0.0) * chi2.ppf(ELLIPSOID_PROBABILITY, 2))
+    )
     angle = math.degrees(math.atan2(axes[1, 1], axes[0, 1]))
     return Ellipse(
         tuple(center), size[1], size[0], angle=angle, facecolor="none", edgecolor=colour, lw=1.0

@@ -121,19 +121,15 @@ class FilterSession:
             self.problems["empty_set"] += 1
         measurements = timed.item if timed.control is not None else _without_doppler(timed.item)
         control = timed.control or Control(0.0, 0.0)
-        spans = self._owed + timed.spans
+        # Owed until a step succeeds: whatever goes wrong below, the motion is not forgotten.
+        self._owed = spans = self._owed + timed.spans
         try:
             result = step(self._state, measurements, spans, control.speed, self.parameters)
-            sound = bool(
-                np.isfinite(result.state.mean).all() and np.isfinite(result.state.covariance).all()
-            )
         except np.linalg.LinAlgError:
-            sound = False
-        if not sound:
-            # Keep the last good state; the next step makes up for the motion since.
+            result = None
+        if result is None or not _sound(result.state):
             self.problems["numerical_failure"] += 1
-            self._owed = spans
-            return None
+            return None  # the last good state stays
         self._owed = ()
         self._state = result.state
         return FilterOutput(
@@ -144,6 +140,10 @@ class FilterSession:
             associations=result.associations,
             step_seconds=time.perf_counter() - started,
         )
+
+
+def _sound(state: FilterState) -> bool:
+    return bool(np.isfinite(state.mean).all() and np.isfinite(state.covariance).all())
 
 
 def _without_doppler(measurements: MeasurementSet) -> MeasurementSet:

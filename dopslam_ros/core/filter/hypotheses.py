@@ -102,8 +102,8 @@ def associate(
     kept = candidates[: parameters.gamma]
     log_weight = np.array([candidate[0] for candidate in kept])
     return Hypotheses(
-        track=np.array([c[1] for c in kept], dtype=np.int64).reshape(-1, paths),
-        source=np.array([c[2] for c in kept], dtype=np.int64).reshape(-1, paths),
+        track=np.array([c[1] for c in kept], dtype=np.int64).reshape(len(kept), paths),
+        source=np.array([c[2] for c in kept], dtype=np.int64).reshape(len(kept), paths),
         weight=np.exp(log_weight - logsumexp(log_weight)),
     )
 
