@@ -106,7 +106,7 @@ def update_bound(
         is_bs: (M,) the landmark is known and has no block in the state.
         weights: (M,) share of the information that counts: 1 detected, 0 not, p_D in expectation.
         noise: (6, 6) or (M, 6, 6) covariance R.
-        used: (6,) the components to count.
+        used: (6,) or (M, 6) the components that each path has.
 
     Returns:
         The state with the landmarks newly seen appended.
@@ -116,11 +116,14 @@ def update_bound(
     state = _with_landmarks(state, ids[~is_bs])
     if not seen.any():
         return state
-    a = paths.ue_jacobian[seen][:, used]
-    b = paths.landmark_jacobian[seen][:, used]
-    r = np.broadcast_to(noise, (len(seen), DIM, DIM))[seen][:, used][:, :, used]
+    used = np.broadcast_to(used, (len(seen), DIM))[seen]
+    # What is not measured has no Jacobian and unit variance, and so no information.
+    a = paths.ue_jacobian[seen] * used[:, :, None]
+    b = paths.landmark_jacobian[seen] * used[:, :, None]
+    both = used[:, :, None] & used[:, None, :]
+    r = np.where(both, np.broadcast_to(noise, (len(seen), DIM, DIM))[seen], np.eye(DIM))
 
-    rows = np.zeros((len(ids), a.shape[1], len(state.covariance)))
+    rows = np.zeros((len(ids), DIM, len(state.covariance)))
     rows[:, :, :4] = a
     block = {landmark: number for number, landmark in enumerate(state.ids.tolist())}
     for row in np.flatnonzero(~is_bs):

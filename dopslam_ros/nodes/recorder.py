@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rclpy.qos import QoSProfile
+
 from dopslam_ros import topics
 from dopslam_ros.bag import BagError, BagWriter
 from dopslam_ros.bag.qos import from_profile
@@ -18,6 +20,7 @@ from dopslam_ros.nodes.runtime import (
     middleware_class,
     names,
     qos_profile,
+    reading_profile,
     serve,
 )
 
@@ -52,19 +55,20 @@ class RecorderNode(DopslamNode):
         self._extra = [self.resolve_topic_name(name) for name in names(p.extra_topics)]
         # The controls last: see DopslamNode.joined.
         for topic in sorted(topics.RECORDED, key=lambda t: t == topics.ODOMETRY_CONTROL):
-            self._record(self.resolve_topic_name(topic.name), topic.type_name, topic.qos)
+            name = self.resolve_topic_name(topic.name)
+            self._record(name, topic.type_name, reading_profile(topic))
         self.create_timer(FLUSH_PERIOD, self._flush)
         if self._extra:
             self.create_timer(DISCOVERY_PERIOD, self._discover)
         self.get_logger().info(f"ready: recording into {path}")
 
-    def _record(self, name: str, type_name: str, qos: Any) -> None:
+    def _record(self, name: str, type_name: str, qos: QoSProfile) -> None:
         self._subscribed.add(name)
         self.create_subscription(
             middleware_class(type_name),
             name,
             partial(self._write, name, type_name),
-            qos_profile(qos),
+            qos,
             raw=True,
         )
 
@@ -75,7 +79,8 @@ class RecorderNode(DopslamNode):
             offers = self.get_publishers_info_by_topic(name)
             if name not in self._subscribed and offers and name in types:
                 try:
-                    self._record(name, types[name][0], from_profile(offers[0].qos_profile))
+                    offered = qos_profile(from_profile(offers[0].qos_profile))
+                    self._record(name, types[name][0], offered)
                 except (ImportError, AttributeError) as error:
                     self._subscribed.add(name)
                     self.refuse(name, error)

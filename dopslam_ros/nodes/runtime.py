@@ -8,6 +8,7 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any, TypeVar
 
@@ -48,6 +49,8 @@ P = TypeVar("P")
 DIAGNOSTICS_PERIOD = 1.0
 # How often a kind of trouble is written to the log at most [s].
 LOG_PERIOD = 5.0
+# Messages that wait for a subscriber that is busy.
+READING_DEPTH = 1000
 
 
 class StartError(RuntimeError):
@@ -71,6 +74,15 @@ def qos_profile(offered: OfferedQos) -> QoSProfile:
         reliability=ReliabilityPolicy(int(offered.reliability)),
         durability=DurabilityPolicy(int(offered.durability)),
     )
+
+
+def reading_profile(topic: topics.Topic) -> QoSProfile:
+    """The quality of service to read a topic with.
+
+    As it is offered, but with a deep queue: of a latched topic one message is kept for those who
+    come late, while somebody who is there wants to miss none.
+    """
+    return qos_profile(replace(topic.qos, depth=max(topic.depth, READING_DEPTH)))
 
 
 class Output:
@@ -189,7 +201,7 @@ class DopslamNode(Node):
             middleware_class(topic.type_name),
             topic.name,
             guarded,
-            qos_profile(topic.qos),
+            reading_profile(topic),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
