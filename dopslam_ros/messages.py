@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from dopslam_ros import topics
+from dopslam_ros.bag import BagTypeError, deserialize
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.channel import COMPONENTS, DIM, LandmarkType
 from dopslam_ros.core.filter import LandmarkEstimates
@@ -79,6 +80,18 @@ def make_header(types: Types, time_ns: int, frame: str) -> Any:
 def make_time(types: Types, time_ns: int) -> Any:
     """builtin_interfaces/Time."""
     return types("builtin_interfaces/msg/Time")(sec=time_ns // NANO, nanosec=time_ns % NANO)
+
+
+def read_message(payload: bytes, topic: topics.Topic) -> Any:
+    """The message that bytes from a topic or a bag hold.
+
+    Raises:
+        InvalidMessage: they hold none of the topic's type.
+    """
+    try:
+        return deserialize(payload, topic.type_name)
+    except BagTypeError as error:
+        raise InvalidMessage("malformed_message", str(error)) from error
 
 
 # --- inputs of the filter ------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from dopslam_ros.messages import (
     read_control,
     read_map,
     read_measurements,
+    read_message,
     read_ue_state,
     stamp_ns,
 )
@@ -164,8 +165,7 @@ class _Run:
                 message.topic, message.payload, message.log_time_ns, message.publish_time_ns
             )
         try:
-            content = deserialize(message.payload, topic.type_name)
-            self._dispatch(topic, content)
+            self._dispatch(topic, read_message(message.payload, topic))
         except (InvalidMessage, Refused) as error:
             self.result.problems[error.reason] += 1
         except (ValueError, OverflowError, ArithmeticError) as error:

@@ -96,7 +96,7 @@ def load_scenario(source: str | Path) -> Scenario:
         raise ScenarioError(f"scenario '{source}': {error}") from error
 
 
-def _with_base(content: object) -> object:
+def _with_base(content: Any) -> Any:
     """A file that says ``base: NAME`` changes values of a scene that comes with the package."""
     if not isinstance(content, Mapping) or "base" not in content:
         return content
@@ -105,7 +105,7 @@ def _with_base(content: object) -> object:
         raise ScenarioError(unknown_name("base scenario", base, builtin_scenarios()))
     text = (resources.files("dopslam_ros") / "scenarios" / f"{base}.yaml").read_text("utf-8")
     own = {key: value for key, value in content.items() if key != "base"}
-    return {**yaml.safe_load(text), **own}
+    return {**_with_base(yaml.safe_load(text)), **own}
 
 
 def parse_scenario(content: object) -> Scenario:

@@ -43,7 +43,7 @@ from dopslam_ros.core.parameters import (
     from_mapping,
     to_mapping,
 )
-from dopslam_ros.messages import make_diagnostics
+from dopslam_ros.messages import make_diagnostics, read_message
 
 P = TypeVar("P")
 DIAGNOSTICS_PERIOD = 1.0
@@ -189,11 +189,15 @@ class DopslamNode(Node):
         return Output(publisher, topic.type_name)
 
     def subscribe(self, topic: topics.Topic, callback: Callable[[Any], None]) -> None:
-        """A subscription whose callback may raise an error with a ``reason``: it is counted."""
+        """A subscription whose callback may raise an error with a ``reason``: it is counted.
 
-        def guarded(message: Any) -> None:
+        The bytes are read here, as the offline replay reads them, because what the middleware
+        cannot read it drops without a word.
+        """
+
+        def guarded(payload: bytes) -> None:
             try:
-                callback(message)
+                callback(read_message(payload, topic))
             except Exception as error:  # a node never dies of a message
                 self.refuse(topic.name, error)
 
@@ -202,6 +206,7 @@ class DopslamNode(Node):
             topic.name,
             guarded,
             reading_profile(topic),
+            raw=True,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
