@@ -27,6 +27,7 @@ from dopslam_ros.core.parameters import (
     checked,
     commented_yaml,
     declarations,
+    shared_values,
     unknown_name,
 )
 from dopslam_ros.core.scenario import Scenario, ScenarioError, builtin_scenarios, load_scenario
@@ -128,6 +129,9 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("parameters", _parameters, "the parameters of a node as a commented YAML file")
     sub.add_argument("node", choices=sorted(_NODES), help="which node")
+    sub.add_argument(
+        "--scenario", help="take what it has of the models: a YAML file or a scene's name"
+    )
 
     sub = command("recover", _recover, "save what can be read of a damaged bag into a new one")
     sub.add_argument("old", type=Path, help="folder of a bag, or an .mcap file; stays as it is")
@@ -166,9 +170,12 @@ def _demo(options: Any) -> int:
     folder = new_folder(options.out, scenario)
     print(f"scene '{scenario.name}', seed {seed}, {options.rate:g} times real time -> {folder}")
     with tqdm(total=scenario.steps, desc="live", unit="step") as bar:
-        bag = run_live(
-            options.scenario, seed, options.rate, folder, lambda n: bar.update(n - bar.n)
-        )
+
+        def show(done: int) -> None:
+            if done > bar.n:
+                bar.update(done - bar.n)
+
+        bag = run_live(options.scenario, seed, options.rate, folder, show)
     run, different = replay_and_compare(bag, folder / "replay")
     summary = _summary(run)
     _write_json(folder / "result.json", summary)
@@ -267,8 +274,12 @@ def _parameters(options: Any) -> int:
 
     module, name = _NODES[options.node]
     kind = getattr(importlib.import_module(module), name)
-    print(f"# Parameters of the {options.node} node with their defaults.")
-    print(commented_yaml(kind(), ros=True), end="")
+    values, origin = {}, "their defaults"
+    if options.scenario is not None:
+        scenario = load_scenario(options.scenario)
+        values, origin = shared_values(scenario, kind), f"the models of scene '{scenario.name}'"
+    print(f"# Parameters of the {options.node} node with {origin}.")
+    print(commented_yaml(kind(**values), ros=True), end="")
     return 0
 
 

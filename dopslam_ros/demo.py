@@ -8,13 +8,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
 
+import yaml
+
 from dopslam_ros import topics
 from dopslam_ros.bag import BagReader, BagWriter
-from dopslam_ros.core.scenario import Scenario
+from dopslam_ros.core.parameters import to_mapping
+from dopslam_ros.core.scenario import Scenario, load_scenario
+from dopslam_ros.core.study import bounds_parameters_for, filter_parameters_for
 from dopslam_ros.replay import Replay, replay
 
 LISTENERS = ("filter", "bounds", "recorder")
@@ -41,7 +45,7 @@ def run_live(
         scenario: name or file of the scene.
         seed: of the run.
         rate: times real time.
-        folder: existing folder that gets the bag and the logs of the nodes.
+        folder: existing folder that gets the bag, and the parameters and logs of the nodes.
         progress: called with the number of snapshots recorded so far.
 
     Returns:
@@ -56,27 +60,22 @@ def run_live(
         "ROS_DOMAIN_ID": str(_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
-    with (
-        _node("filter", {}, folder, environment) as filtering,
-        _node("bounds", {}, folder, environment) as bounding,
-        _node("recorder", {"bag": bag}, folder, environment) as recording,
-        _node(
-            "simulator",
-            {
-                "scenario": scenario,
-                "seed": seed,
-                "rate": rate,
-                "wait_for_nodes": ",".join(LISTENERS),
-            },
-            folder,
-            environment,
-        ) as simulating,
-    ):
+    model = load_scenario(scenario)
+    settings = {
+        "filter": to_mapping(filter_parameters_for(model)),
+        "bounds": to_mapping(bounds_parameters_for(model)),
+        "recorder": {"bag": str(bag)},
+        "simulator": {
+            "scenario": str(scenario),
+            "seed": seed,
+            "rate": rate,
+            "wait_for_nodes": ",".join(LISTENERS),
+        },
+    }
+    with ExitStack() as stack:
         nodes = {
-            "filter": filtering,
-            "bounds": bounding,
-            "recorder": recording,
-            "simulator": simulating,
+            name: stack.enter_context(_node(name, values, folder, environment))
+            for name, values in settings.items()
         }
         _follow(nodes, bag, progress)
     return bag
@@ -122,9 +121,10 @@ def _node(
     name: str, parameters: Mapping[str, object], folder: Path, environment: Mapping[str, str]
 ) -> Iterator[subprocess.Popen[bytes]]:
     """A node as a process that is told to stop, and waited for, at the end."""
+    file = folder / f"{name}.yaml"
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters)}}), "utf-8")
     command = [sys.executable, "-m", f"dopslam_ros.nodes.{name}", "--ros-args"]
-    for key, value in parameters.items():
-        command += ["-p", f"{key}:={value}"]
+    command += ["--params-file", str(file)]
     with open(folder / f"{name}.log", "wb") as log:
         process = subprocess.Popen(
             command,

@@ -37,9 +37,9 @@ NAMES = {
 def draw_run(run: Replay, path: Path, title: str) -> None:
     """Track, map and errors of a run in one picture.
 
-    Left: true and estimated track and landmarks from above, with 95 % ellipses (magnified). Right: error of
-    position, heading and clock bias at each step beside the bound (one sigma) and the filter's own
-    sigma.
+    Left: true and estimated track and landmarks from above, with 95 % ellipses (magnified). Right:
+    error of position, heading and clock bias at each step beside the bound (one sigma) and the
+    filter's own sigma.
 
     Raises:
         OSError: the file cannot be written.
