@@ -77,7 +77,11 @@ def run_live(
             name: stack.enter_context(_node(name, values, folder, environment))
             for name, values in settings.items()
         }
-        _follow(nodes, bag, progress)
+        try:
+            _follow(nodes, bag, progress)
+        finally:
+            for process in nodes.values():  # all at once; each is waited for on the way out
+                _ask_to_stop(process)
     return bag
 
 
@@ -139,14 +143,18 @@ def _node(
             _stop(process)
 
 
-def _stop(process: subprocess.Popen[bytes]) -> None:
+def _ask_to_stop(process: subprocess.Popen[bytes]) -> None:
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
-        try:
-            process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    _ask_to_stop(process)
+    try:
+        process.wait(PATIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def replay_and_compare(bag: Path, out: Path) -> tuple[Replay, str | None]:
