@@ -58,17 +58,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return int(options.run(options))
     except (UsageError, ScenarioError, ParameterError) as error:
-        print(f"dopslam: {error}", file=sys.stderr)
+        _complain(error)
         return 2
     except BrokenPipeError:  # whoever read our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (BagError, OSError, ValueError, RuntimeError) as error:
-        print(f"dopslam: {error}", file=sys.stderr)
+        _complain(error)
         return 1
     except KeyboardInterrupt:
         print("dopslam: stopped", file=sys.stderr)
         return 130
+
+
+def _complain(error: Exception) -> None:
+    """One line, also where a library's message has several."""
+    print("dopslam:", " ".join(str(error).split()), file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -99,9 +99,9 @@ def _check_covariances(values: FloatArray, covariances: FloatArray) -> None:
             f"covariance of path {int(np.argmin(finite))} has NaN or infinity where a component"
             " was measured",
         )
-    scale = np.abs(used).max(axis=(1, 2), initial=0.0)
-    skew = np.abs(used - np.swapaxes(used, 1, 2)).max(axis=(1, 2), initial=0.0)
-    symmetric = skew <= 1e-6 * scale
+    std = np.sqrt(np.abs(np.diagonal(used, axis1=1, axis2=2)))
+    skew = np.abs(used - np.swapaxes(used, 1, 2))
+    symmetric = (skew <= 1e-6 * std[:, :, None] * std[:, None, :]).all(axis=(1, 2))
     if not symmetric.all():
         raise InvalidMeasurements(
             "covariance_not_symmetric",

@@ -2,8 +2,9 @@
 
 Snapshots and controls travel on different topics and overtake each other. A snapshot is released
 once a control from its own time or later has arrived, because only then can no control before it be
-on its way. What is released depends on stamps and on the order within each topic, never on how the
-topics interleave; so a live run and its replay process the same things.
+on its way. What is released depends on stamps and on the order within each topic, not on how the
+topics interleave; so a live run and its replay process the same things. The exception is a control
+that comes too late: a wait has to end, and when it does the snapshot is marked as not complete.
 """
 
 from __future__ import annotations
@@ -70,6 +71,7 @@ class Sequencer(Generic[Item]):
         self._items: list[Item] = []
         self._control_stamps: list[int] = []
         self._controls: list[Control] = []
+        self._newest_ns: int | None = None
         self._last_ns: int | None = None
 
     @property
@@ -103,19 +105,17 @@ class Sequencer(Generic[Item]):
         """An item to release in its turn.
 
         Raises:
-            Refused: its time is not later than that of the last one released, or is already there.
+            Refused: its time is not later than that of the one added before.
         """
-        if self._last_ns is not None and stamp_ns <= self._last_ns:
+        if self._newest_ns is not None and stamp_ns <= self._newest_ns:
             raise Refused(
-                "backward_time",
-                f"stamp {_seconds(stamp_ns)} is not later than {_seconds(self._last_ns)}, which is"
-                " processed already",
+                "duplicate_stamp" if stamp_ns == self._newest_ns else "backward_time",
+                f"stamp {_seconds(stamp_ns)} is not later than that of the one before,"
+                f" {_seconds(self._newest_ns)}: stamps must increase",
             )
-        place = bisect.bisect_left(self._stamps, stamp_ns)
-        if place < len(self._stamps) and self._stamps[place] == stamp_ns:
-            raise Refused("duplicate_stamp", f"a second item has the stamp {_seconds(stamp_ns)}")
-        self._stamps.insert(place, stamp_ns)
-        self._items.insert(place, item)
+        self._newest_ns = stamp_ns
+        self._stamps.append(stamp_ns)
+        self._items.append(item)
 
     def ready(self) -> Iterator[Timed[Item]]:
         """Releases what need not wait any longer, in order."""

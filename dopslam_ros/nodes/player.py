@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
 
 from dopslam_ros import topics
-from dopslam_ros.bag import BagError, BagMessage, BagReader
+from dopslam_ros.bag import BagError, BagMessage, BagReader, Durability, TopicInfo
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.messages import make_time
 from dopslam_ros.nodes.runtime import (
@@ -70,7 +71,7 @@ class PlayerNode(DopslamNode):
             name: self.create_publisher(
                 middleware_class(info.type_name),
                 name,
-                qos_profile(info.qos[0] if info.qos else topics.CHANNEL_MEASUREMENTS.qos),
+                _offer(info),
             )
             for name, info in self._reader.topics.items()
             if self._wanted(name)
@@ -144,6 +145,15 @@ class PlayerNode(DopslamNode):
         if self._settings.clock:
             clock = middleware_class("rosgraph_msgs/msg/Clock")
             self._clock_publisher.publish(clock(clock=make_time(middleware_class, time_ns)))
+
+
+def _offer(info: TopicInfo) -> QoSProfile:
+    """The quality of service that a topic was recorded with."""
+    offered = info.qos[0] if info.qos else topics.CHANNEL_MEASUREMENTS.qos
+    if not offered.depth and offered.durability == Durability.TRANSIENT_LOCAL:
+        # Discovery did not tell the depth: who comes late gets the last one, not the whole past.
+        offered = replace(offered, depth=1)
+    return qos_profile(offered)
 
 
 def main() -> None:

@@ -304,7 +304,7 @@ def run(create: Callable[[], DopslamNode], arguments: Sequence[str] | None = Non
     except ExternalShutdownException:
         pass
     except (StartError, ParameterException) as error:
-        print(f"error: {error}", file=sys.stderr)
+        print("error:", " ".join(str(error).split()), file=sys.stderr)
         code = 2
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):

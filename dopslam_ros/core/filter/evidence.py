@@ -14,6 +14,8 @@ from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import detection_probabilities
 
 LOG_2PI = float(np.log(2.0 * np.pi))
+# Below this [m] a quadratic says nothing of a length; keeps the curvature finite.
+CLOSEST = 1.0
 
 
 @dataclass(frozen=True)
@@ -41,16 +43,16 @@ class Evidence:
     Attributes:
         paths: h and Jacobians of the C + 1 sources.
         detection: (C + 1,) p_D.
-        innovation: (C + 1, J, 6) z - h, zero where not used.
+        innovation: (C + 1, J, 6) z - E[h], zero where not used.
+        curvature: (C + 1,) variance of the path length that is not in A P A' + B P B' [m^2].
         log_likelihood: (C + 1, J) ln N(z; h, S); -inf outside the gate.
-        mahalanobis: (C + 1, J) squared distance.
     """
 
     paths: Paths
     detection: FloatArray
     innovation: FloatArray
+    curvature: FloatArray
     log_likelihood: FloatArray
-    mahalanobis: FloatArray
 
 
 def prepare(measurements: MeasurementSet, parameters: FilterParameters) -> Observed:
@@ -81,6 +83,10 @@ def weigh(
 ) -> Evidence:
     """Local likelihoods N(z_j; h_i, S_i) with S = A P A' + B P B' + cross terms + R.
 
+    For the path length S has a second-order term too: a young landmark is known to 0.1 m along the
+    ray and to 10 m across it, so that the bend of the sphere of equal length counts for more than
+    the noise. Without it the filter believes what it cannot know.
+
     Args:
         state: predicted.
         observed: J paths.
@@ -91,20 +97,29 @@ def weigh(
     types = np.concatenate([[int(LandmarkType.BS)], state.component_type]).astype(np.int64)
     paths = observe(state.ue_mean, speed, positions, types, parameters.bs, parameters.ue_height)
     innovation_covariance = _projected_covariance(state, paths)
-    spread = _distance_std(state, positions, parameters)
+    relative = _relative_covariance(state)
     ue = np.append(state.ue_mean[:2], parameters.ue_height)
+    spread = _distance_std(positions - ue, relative)
+    shift, curvature = _path_length_curvature(state, positions, types, relative, parameters)
     detection = detection_probabilities(parameters, ue, positions, types, spread)
     detection = np.where(paths.degenerate, 0.0, detection)
 
     both = observed.used[:, :, None] & observed.used[:, None, :]
+    innovation_covariance[:, 0, 0] += curvature
     s = np.where(both, innovation_covariance[:, None], 0.0) + observed.noise
-    innovation = masked_residual(observed, paths.mean[:, None, :])
+    expected = paths.mean.copy()
+    expected[:, 0] += shift
+    innovation = masked_residual(observed, expected[:, None, :])
     mahalanobis, log_determinant = gaussian_terms(s, innovation)
     log_likelihood = -0.5 * (mahalanobis + log_determinant + log_normaliser(observed))
     gate = chi2.ppf(parameters.gate_probability, observed.used.sum(axis=1))
     inside = (mahalanobis <= gate) & ~paths.degenerate[:, None]
     return Evidence(
-        paths, detection, innovation, np.where(inside, log_likelihood, -np.inf), mahalanobis
+        paths=paths,
+        detection=detection,
+        innovation=innovation,
+        curvature=curvature,
+        log_likelihood=np.where(inside, log_likelihood, -np.inf),
     )
 
 
@@ -126,19 +141,56 @@ def _projected_covariance(state: FilterState, paths: Paths) -> FloatArray:
     return symmetrise(projected)
 
 
-def _distance_std(
-    state: FilterState, positions: FloatArray, parameters: FilterParameters
-) -> FloatArray:
-    """(C + 1,) standard deviation of the distance between vehicle and source [m]."""
-    offset = positions - np.append(state.ue_mean[:2], parameters.ue_height)
-    direction = offset / np.maximum(np.linalg.norm(offset, axis=1), 1e-6)[:, None]
-    covariance = np.zeros((len(positions), 3, 3))
+def _relative_covariance(state: FilterState) -> FloatArray:
+    """(C + 1, 3, 3) covariance of the vector from the vehicle to each source [m^2]."""
+    covariance = np.zeros((len(state.component_track) + 1, 3, 3))
     covariance[:, :2, :2] = state.ue_covariance[:2, :2]
-    cross = np.zeros((len(positions) - 1, 3, 3))
+    cross = np.zeros((len(state.component_track), 3, 3))
     cross[:, :2] = state.cross_covariances[:, :2]
     covariance[1:] += state.position_covariances - cross - np.swapaxes(cross, 1, 2)
+    return covariance
+
+
+def _distance_std(offset: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(M,) standard deviation of the length of vectors (M, 3) [m], to first order."""
+    direction = offset / np.maximum(np.linalg.norm(offset, axis=1), 1e-6)[:, None]
     variance = np.einsum("mi,mij,mj->m", direction, covariance, direction)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _path_length_curvature(
+    state: FilterState,
+    positions: FloatArray,
+    types: IntArray,
+    relative: FloatArray,
+    parameters: FilterParameters,
+) -> tuple[FloatArray, FloatArray]:
+    """(C + 1,) what second order adds to the mean [m] and to the variance [m^2] of path lengths."""
+    ue = np.append(state.ue_mean[:2], parameters.ue_height)
+    shift, variance = _length_curvature(positions - ue, relative)
+    leg = np.zeros_like(relative)
+    leg[1:] = state.position_covariances
+    leg_shift, leg_variance = _length_curvature(positions - parameters.bs, leg)
+    scattered = types == LandmarkType.SP
+    return (
+        shift + np.where(scattered, leg_shift, 0.0),
+        variance + np.where(scattered, leg_variance, 0.0),
+    )
+
+
+def _length_curvature(offset: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and variance of the quadratic term of |w|, whose Hessian H is (I - u u') / |w|.
+
+    For w of covariance P they are tr(H P) / 2 and tr(H P H P) / 2.
+    """
+    length = np.maximum(np.linalg.norm(offset, axis=1), CLOSEST)
+    direction = offset / length[:, None]
+    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    spread = across @ covariance / length[:, None, None]
+    return (
+        np.asarray(0.5 * np.trace(spread, axis1=1, axis2=2)),
+        np.asarray(0.5 * np.einsum("mij,mji->m", spread, spread)),
+    )
 
 
 def source_tracks(state: FilterState) -> IntArray:

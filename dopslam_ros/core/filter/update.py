@@ -101,6 +101,8 @@ def condition(
         assigned[:, :, None], evidence.innovation[source, taken[None, :]], 0.0
     ).reshape(len(source), -1)
     noise = np.where(assigned[:, :, None, None], observed.noise[taken], np.eye(DIM))
+    with_length = assigned & observed.used[taken, 0]
+    noise[:, :, 0, 0] += np.where(with_length, evidence.curvature[source], 0.0)
 
     projected = rows @ state.covariance
     s = projected @ np.swapaxes(rows, 1, 2)
