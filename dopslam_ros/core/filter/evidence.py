@@ -165,32 +165,41 @@ def _path_length_curvature(
     relative: FloatArray,
     parameters: FilterParameters,
 ) -> tuple[FloatArray, FloatArray]:
-    """(C + 1,) what second order adds to the mean [m] and to the variance [m^2] of path lengths."""
+    """(C + 1,) what second order adds to the mean [m] and to the variance [m^2] of path lengths.
+
+    The quadratic form w' H w / 2 of a Gaussian of covariance P has the mean tr(H P) / 2 and the
+    variance tr(H P H P) / 2; two of them, H of w and G of x, have the covariance tr(H C G C') / 2
+    with C = cov(w, x). The path of an SP is the sum of two: vehicle to it and BS to it.
+    """
     ue = np.append(state.ue_mean[:2], parameters.ue_height)
-    shift, variance = _length_curvature(positions - ue, relative)
     leg = np.zeros_like(relative)
     leg[1:] = state.position_covariances
-    leg_shift, leg_variance = _length_curvature(positions - parameters.bs, leg)
+    both = leg.copy()
+    both[1:, :2] -= state.cross_covariances[:, :2]
     scattered = types == LandmarkType.SP
+    near = _length_hessian(positions - ue)
+    far = _length_hessian(positions - parameters.bs) * scattered[:, None, None]
+    mean = near @ relative + far @ leg
+    crossed = near @ both @ far @ np.swapaxes(both, 1, 2)
     return (
-        shift + np.where(scattered, leg_shift, 0.0),
-        variance + np.where(scattered, leg_variance, 0.0),
+        np.asarray(0.5 * np.trace(mean, axis1=1, axis2=2)),
+        _trace_of_square(near @ relative)
+        + _trace_of_square(far @ leg)
+        + np.trace(crossed, axis1=1, axis2=2),
     )
 
 
-def _length_curvature(offset: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean and variance of the quadratic term of |w|, whose Hessian H is (I - u u') / |w|.
-
-    For w of covariance P they are tr(H P) / 2 and tr(H P H P) / 2.
-    """
+def _length_hessian(offset: FloatArray) -> FloatArray:
+    """(M, 3, 3) second derivative of the lengths of vectors (M, 3): (I - u u') / |w|."""
     length = np.maximum(np.linalg.norm(offset, axis=1), CLOSEST)
     direction = offset / length[:, None]
     across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    spread = across @ covariance / length[:, None, None]
-    return (
-        np.asarray(0.5 * np.trace(spread, axis1=1, axis2=2)),
-        np.asarray(0.5 * np.einsum("mij,mji->m", spread, spread)),
-    )
+    return np.asarray(across / length[:, None, None])
+
+
+def _trace_of_square(matrices: FloatArray) -> FloatArray:
+    """(M,) tr(A A) / 2."""
+    return np.asarray(0.5 * np.einsum("mij,mji->m", matrices, matrices))
 
 
 def source_tracks(state: FilterState) -> IntArray:

@@ -1,0 +1,128 @@
+"""Global hypotheses: every association of a small problem counted out as the witness."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dopslam_ros.core.arrays import FloatArray
+from dopslam_ros.core.assignment import UNASSIGNED
+from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
+from dopslam_ros.core.filter.hypotheses import LocalWeights, associate
+
+PARAMETERS = FilterParameters(gamma=1000)
+
+
+def state_of(tracks: list[int]) -> FilterState:
+    """Tracks with so many components each; only the counts matter here."""
+    owner = np.repeat(np.arange(len(tracks)), tracks)
+    return replace(
+        initial_filter_state(PARAMETERS),
+        component_track=owner,
+        track_id=np.arange(1, len(tracks) + 1),
+    )
+
+
+def weights_of(rng: np.random.Generator, tracks: list[int], paths: int) -> LocalWeights:
+    owner = np.concatenate([[0], np.repeat(np.arange(len(tracks)), tracks) + 1])
+    source = rng.normal(0.0, 1.5, (len(owner), paths))
+    source[rng.random(source.shape) < 0.3] = -np.inf
+    track = np.full((len(tracks) + 1, paths), -np.inf)
+    np.logaddexp.at(track, owner, source)
+    missed, new = rng.normal(-1.0, 1.0, len(tracks) + 1), rng.normal(-1.0, 1.0, paths)
+    return LocalWeights(source, track, missed, new)
+
+
+def every_association(weights: LocalWeights) -> dict[tuple[int, ...], float]:
+    """Unnormalised weight of each, the product of what each path and each track says."""
+    tracks, paths = weights.track.shape
+    found = {}
+    for choice in itertools.product(range(-1, tracks), repeat=paths):
+        taken = [track for track in choice if track != UNASSIGNED]
+        if len(set(taken)) < len(taken):
+            continue
+        log_weight = sum(
+            weights.new[path] if track == UNASSIGNED else weights.track[track, path]
+            for path, track in enumerate(choice)
+        )
+        log_weight += sum(weights.missed[t] for t in range(tracks) if t not in taken)
+        if np.isfinite(log_weight):
+            found[choice] = math.exp(log_weight)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_all_associations_have_their_share(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tracks, paths = [1] * int(rng.integers(0, 3)), int(rng.integers(1, 4))
+    weights = weights_of(rng, tracks, paths)
+    ranked = associate(state_of(tracks), weights, PARAMETERS)
+    truth = every_association(weights)
+    total = sum(truth.values())
+    assert len(ranked.weight) == len(truth)
+    for columns, weight in zip(ranked.track.tolist(), ranked.weight, strict=True):
+        assert weight == pytest.approx(truth[tuple(columns)] / total, rel=1e-9)
+    assert np.all(np.diff(ranked.weight) <= 1e-12)
+    assert ranked.weight.sum() == pytest.approx(1.0)
+    np.testing.assert_array_equal(ranked.track, ranked.source)  # one component per track
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_landmarks_of_open_type_split_an_association_by_type(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tracks = [2, 1, 2]
+    weights = weights_of(rng, tracks, 3)
+    ranked = associate(state_of(tracks), weights, PARAMETERS)
+    truth = every_association(weights)
+    total = sum(truth.values())
+    owner = np.array([0, 1, 1, 2, 3, 3])
+    summed: dict[tuple[int, ...], float] = {}
+    for columns, sources, weight in zip(ranked.track, ranked.source, ranked.weight, strict=True):
+        given = sources != UNASSIGNED
+        np.testing.assert_array_equal(owner[sources[given]], columns[given])
+        assert np.all(columns[~given] == UNASSIGNED)
+        share = np.exp(
+            weights.source[sources[given], np.flatnonzero(given)]
+            - weights.track[columns[given], np.flatnonzero(given)]
+        ).prod()
+        key = tuple(columns.tolist())
+        assert weight == pytest.approx(truth[key] * share / total, rel=0.02)
+        summed[key] = summed.get(key, 0.0) + float(weight)
+    for key, weight in truth.items():
+        assert summed[key] == pytest.approx(weight / total, rel=0.02, abs=1e-6)
+
+
+@pytest.mark.parametrize("gamma", [1, 3, 10])
+def test_no_more_than_gamma_are_kept_and_those_are_the_best(gamma: int) -> None:
+    rng = np.random.default_rng(1)
+    weights = weights_of(rng, [1, 1], 3)
+    few = associate(state_of([1, 1]), weights, replace(PARAMETERS, gamma=gamma))
+    many = associate(state_of([1, 1]), weights, PARAMETERS)
+    kept = min(gamma, len(many.weight))
+    assert len(few.weight) == kept
+    np.testing.assert_array_equal(few.track, many.track[:kept])
+    np.testing.assert_allclose(few.weight, many.weight[:kept] / many.weight[:kept].sum())
+
+
+def test_no_paths_is_one_hypothesis() -> None:
+    weights = weights_of(np.random.default_rng(0), [1, 2], 0)
+    ranked = associate(state_of([1, 2]), weights, PARAMETERS)
+    assert ranked.track.shape == ranked.source.shape == (1, 0)
+    assert ranked.weight.tolist() == [1.0]
+
+
+def extreme(value: float) -> FloatArray:
+    return np.array([[value, -value]])
+
+
+@pytest.mark.parametrize("value", [600.0, -600.0, 0.0])
+def test_extreme_weights_do_not_overflow(value: float) -> None:
+    weights = LocalWeights(
+        extreme(value), extreme(value), np.array([-700.0]), np.array([-700.0, -700.0])
+    )
+    ranked = associate(state_of([]), weights, PARAMETERS)
+    assert np.isfinite(ranked.weight).all() and ranked.weight.sum() == pytest.approx(1.0)

@@ -1,0 +1,195 @@
+"""The sequencer: the same releases however the two topics interleave."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from dopslam_ros.core.motion import Control, ControlSpan
+from dopslam_ros.core.sequence import MOST_PENDING, Refused, Sequencer, Timed
+
+SECOND = 1_000_000_000
+Released = list[Timed[str]]
+
+
+def feed(
+    order: list[str],
+    controls: list[tuple[int, float]],
+    items: list[int],
+    wait: float = 1e6,
+) -> tuple[Released, list[str]]:
+    """Adds the inputs in an order ('c' or 'i') and gives what was released and refused."""
+    sequencer: Sequencer[str] = Sequencer(wait)
+    released: Released = []
+    refused = []
+    waiting_controls, waiting_items = iter(controls), iter(items)
+    for kind in order:
+        try:
+            if kind == "c":
+                stamp, speed = next(waiting_controls)
+                sequencer.add_control(stamp, speed, 0.1 * speed)
+            else:
+                stamp = next(waiting_items)
+                sequencer.add(stamp, f"item {stamp}")
+        except Refused as refusal:
+            refused.append(refusal.reason)
+        released += sequencer.ready()
+    released += sequencer.flush()
+    assert sequencer.pending == 0
+    return released, refused
+
+
+def drawn(rng: np.random.Generator) -> tuple[list[tuple[int, float]], list[int]]:
+    """Increasing stamps on both topics, some of them common; controls until the end."""
+    stamps = rng.choice(np.arange(1, 60), 30, replace=False) * SECOND // 4
+    items = np.sort(stamps[:12])
+    times = np.sort(np.concatenate([rng.choice(items, 5, replace=False), stamps[15:]]))
+    times = np.unique(np.append(times, 60 * SECOND))
+    return [(int(t), float(v)) for t, v in zip(times, rng.normal(size=len(times)), strict=True)], [
+        int(item) for item in items
+    ]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_result_does_not_depend_on_the_interleaving(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    controls, items = drawn(rng)
+    kinds = ["c"] * len(controls) + ["i"] * len(items)
+    reference, refused = feed(kinds, controls, items)
+    assert refused == [] and len(reference) == len(items)
+    assert feed(kinds[::-1], controls, items) == (reference, [])
+    for _ in range(5):
+        order = [str(kind) for kind in rng.permutation(kinds)]
+        assert feed(order, controls, items) == (reference, [])
+
+
+@pytest.mark.parametrize("order", ["ciic", "iicc", "icic", "cici"])
+def test_nor_when_stamps_jump_back_within_a_topic(order: str) -> None:
+    controls, items = [(1 * SECOND, 5.0), (2 * SECOND, 6.0)], [2 * SECOND, 1 * SECOND]
+    assert feed(list(order), controls, items) == feed(list("ccii"), controls, items)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_spans_fill_the_time_between_with_the_controls_that_hold(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    controls, items = drawn(rng)
+    released, _ = feed(["c"] * len(controls) + ["i"] * len(items), controls, items)
+    assert [timed.stamp_ns for timed in released] == sorted(items)
+    assert released[0].spans == ()
+
+    def valid_at(stamp: float) -> Control:
+        before = [Control(v, 0.1 * v) for t, v in controls if t <= stamp]
+        return before[-1] if before else Control(0.0, 0.0)
+
+    for before, after in itertools.pairwise(released):
+        total = sum(span.duration for span in after.spans)
+        assert total == pytest.approx((after.stamp_ns - before.stamp_ns) / SECOND, abs=1e-9)
+        assert all(span.duration > 0.0 for span in after.spans)
+        time = float(before.stamp_ns)
+        for span in after.spans:
+            assert span.control == valid_at(time + 0.5 * SECOND * span.duration)
+            time += SECOND * span.duration
+        if after.control is not None:
+            assert after.control == valid_at(after.stamp_ns)
+        first = controls[0][0]
+        assert after.complete == (first <= before.stamp_ns)
+
+
+def test_an_item_waits_for_a_control_of_its_time_or_later() -> None:
+    sequencer: Sequencer[str] = Sequencer(1.0)
+    sequencer.add_control(1 * SECOND, 5.0, 0.0)
+    sequencer.add(2 * SECOND, "a")
+    assert list(sequencer.ready()) == [] and sequencer.pending == 1
+    sequencer.add_control(2 * SECOND - 1, 6.0, 0.0)
+    assert list(sequencer.ready()) == []
+    sequencer.add_control(2 * SECOND, 7.0, 0.0)
+    (timed,) = sequencer.ready()
+    assert timed == Timed(2 * SECOND, "a", (), Control(7.0, 0.0), True)
+
+
+def test_the_wait_is_bounded_by_newer_items() -> None:
+    sequencer: Sequencer[str] = Sequencer(1.0)
+    sequencer.add_control(0, 5.0, 0.25)
+    assert [t.item for t in _added(sequencer, 0, "zero")] == ["zero"]
+    assert _added(sequencer, SECOND // 2, "a") == []
+    assert _added(sequencer, 3 * SECOND // 2 - 1, "b") == []
+    (timed,) = _added(sequencer, 3 * SECOND // 2, "c")
+    assert timed.item == "a" and not timed.complete
+    # The last control known goes on.
+    assert timed.spans == (ControlSpan(Control(5.0, 0.25), 0.5),)
+    assert timed.control == Control(5.0, 0.25)
+    assert sequencer.pending == 2
+
+
+def _added(sequencer: Sequencer[str], stamp: int, item: str) -> Released:
+    sequencer.add(stamp, item)
+    return list(sequencer.ready())
+
+
+def test_no_more_wait_than_a_number() -> None:
+    sequencer: Sequencer[str] = Sequencer(1e6)
+    for number in range(MOST_PENDING):
+        assert _added(sequencer, number + 1, "x") == []
+    assert len(_added(sequencer, MOST_PENDING + 1, "x")) == 1
+    assert sequencer.pending == MOST_PENDING
+
+
+def test_without_any_control_the_vehicle_stands_and_this_is_said() -> None:
+    released, _ = feed(["i", "i"], [], [SECOND, 2 * SECOND])
+    assert [timed.complete for timed in released] == [False, False]
+    assert [timed.control for timed in released] == [None, None]
+    assert released[1].spans == (ControlSpan(Control(0.0, 0.0), 1.0),)
+
+
+def test_a_real_control_of_zero_is_not_an_unknown_one() -> None:
+    released, _ = feed(["c", "i", "i", "c"], [(0, 0.0), (9 * SECOND, 0.0)], [SECOND, 2 * SECOND])
+    assert [timed.complete for timed in released] == [True, True]
+    assert released[1].control == Control(0.0, 0.0)
+
+
+def test_flush_releases_all_in_order() -> None:
+    sequencer: Sequencer[str] = Sequencer(100.0)
+    sequencer.add_control(SECOND, 3.0, 0.0)
+    for stamp in (1, 2, 3):
+        sequencer.add(stamp * SECOND, str(stamp))
+    released = list(sequencer.flush())
+    assert [timed.item for timed in released] == ["1", "2", "3"]
+    assert [timed.complete for timed in released] == [True, False, False]
+    assert list(sequencer.flush()) == []
+
+
+def reason_of(action: object, *arguments: object) -> tuple[str, str]:
+    assert callable(action)
+    with pytest.raises(Refused) as caught:
+        action(*arguments)
+    return caught.value.reason, str(caught.value)
+
+
+def test_refusals_say_why_and_change_nothing() -> None:
+    sequencer: Sequencer[str] = Sequencer(1.0)
+    sequencer.add_control(5 * SECOND, 3.0, 0.0)
+    sequencer.add(4 * SECOND, "a")
+    assert len(list(sequencer.ready())) == 1
+    reason, text = reason_of(sequencer.add, 4 * SECOND, "again")
+    assert reason == "duplicate_stamp" and "4.000000000 s" in text
+    assert reason_of(sequencer.add, 3 * SECOND, "late")[0] == "backward_time"
+    sequencer.add(6 * SECOND, "b")
+    assert reason_of(sequencer.add, 6 * SECOND, "twin")[0] == "duplicate_stamp"
+    assert reason_of(sequencer.add, 5 * SECOND, "late")[0] == "backward_time"
+    assert reason_of(sequencer.add_control, 5 * SECOND, 3.0, 0.0)[0] == "backward_control"
+    assert reason_of(sequencer.add_control, 2 * SECOND, 3.0, 0.0)[0] == "backward_control"
+    for speed, turn in ((np.nan, 0.0), (0.0, np.nan), (np.inf, 0.0), (0.0, -np.inf), (1e9, 0.0)):
+        reason, text = reason_of(sequencer.add_control, 7 * SECOND, speed, turn)
+        assert reason == "invalid_control" and f"{speed:g}" in text
+    sequencer.add_control(6 * SECOND, 4.0, 0.0)
+    assert [timed.item for timed in sequencer.ready()] == ["b"]
+
+
+def test_old_controls_are_forgotten() -> None:
+    sequencer: Sequencer[str] = Sequencer(1.0)
+    for second in range(1, 2000):
+        sequencer.add_control(second * SECOND, 1.0, 0.0)
+        assert len(_added(sequencer, second * SECOND, "x")) == 1
+    assert len(sequencer._controls) < 5

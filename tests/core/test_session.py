@@ -1,0 +1,227 @@
+"""Sessions: sets that are bad, empty, late or without control, and trouble in the mathematics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dopslam_ros.core import session as session_module
+from dopslam_ros.core.arrays import FloatArray
+from dopslam_ros.core.channel import DIM, DOPPLER
+from dopslam_ros.core.filter import FilterParameters, initial_filter_state, step
+from dopslam_ros.core.measurements import MeasurementSet
+from dopslam_ros.core.model import with_doppler_std
+from dopslam_ros.core.motion import Control, ControlSpan
+from dopslam_ros.core.scenario import load_scenario
+from dopslam_ros.core.sequence import Refused
+from dopslam_ros.core.session import FilterOutput, FilterSession
+from dopslam_ros.core.simulator import Snapshot, simulate
+from dopslam_ros.core.study import filter_parameters_for
+
+SCENARIO = load_scenario("paper")
+PARAMETERS = filter_parameters_for(SCENARIO)
+
+
+@pytest.fixture(scope="module")
+def snapshots() -> list[Snapshot]:
+    """A short run of the paper's scene."""
+    short = replace(SCENARIO, controls=SCENARIO.controls[:10])
+    return list(simulate(short, np.random.default_rng(31)))
+
+
+def drive(
+    snapshots: list[Snapshot], order: list[str], parameters: FilterParameters = PARAMETERS
+) -> list[FilterOutput]:
+    filtering = FilterSession(parameters)
+    outputs: list[FilterOutput] = []
+    controls, sets = iter(snapshots), iter(snapshots)
+    for kind in order:
+        if kind == "c":
+            s = next(controls)
+            outputs += filtering.add_control(s.stamp_ns, s.control.speed, s.control.turn_rate)
+        else:
+            s = next(sets)
+            outputs += filtering.add_measurements(s.stamp_ns, s.measurements)
+    outputs += filtering.flush()
+    return outputs
+
+
+def bytes_of(outputs: list[FilterOutput]) -> list[bytes]:
+    return [
+        o.state.mean.tobytes()
+        + o.state.covariance.tobytes()
+        + o.state.existence.tobytes()
+        + o.state.track_id.tobytes()
+        + o.landmarks.positions.tobytes()
+        for o in outputs
+    ]
+
+
+def test_the_session_is_the_steps_one_after_the_other(snapshots: list[Snapshot]) -> None:
+    outputs = drive(snapshots, ["c", "m"] * 10)
+    state = initial_filter_state(PARAMETERS)
+    previous = None
+    for output, snapshot in zip(outputs, snapshots, strict=True):
+        spans = [] if previous is None else [ControlSpan(previous, SCENARIO.period)]
+        state = step(state, snapshot.measurements, spans, snapshot.control.speed, PARAMETERS).state
+        previous = snapshot.control
+        assert output.stamp_ns == snapshot.stamp_ns and output.control == snapshot.control
+        np.testing.assert_array_equal(output.state.mean, state.mean)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_same_inputs_give_the_same_bytes_in_any_interleaving(
+    snapshots: list[Snapshot], seed: int
+) -> None:
+    patient = replace(PARAMETERS, control_wait=1000.0)
+    reference = bytes_of(drive(snapshots, ["c"] * 10 + ["m"] * 10, patient))
+    kinds = ["c"] * 10 + ["m"] * 10
+    order = [str(k) for k in np.random.default_rng(seed).permutation(kinds)]
+    assert bytes_of(drive(snapshots, order, patient)) == reference
+
+
+def test_an_empty_set_is_processed_and_counted(snapshots: list[Snapshot]) -> None:
+    empty = MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM)))
+    filtering = FilterSession(PARAMETERS)
+    assert list(filtering.add_control(10**9, 22.22, 0.3)) == []
+    (first,) = filtering.add_measurements(10**9, empty)
+    assert filtering.problems == {"empty_set": 1}
+    np.testing.assert_array_equal(first.state.mean, PARAMETERS.initial_state)
+    list(filtering.add_control(2 * 10**9, 22.22, 0.3))
+    (second,) = filtering.add_measurements(2 * 10**9, empty)
+    assert np.hypot(*(second.state.ue_mean - first.state.ue_mean)[:2]) > 20.0
+    assert second.state.ue_covariance[0, 0] > first.state.ue_covariance[0, 0]
+
+
+def test_a_missing_control_is_counted_and_the_set_used_without_doppler(
+    snapshots: list[Snapshot],
+) -> None:
+    filtering = FilterSession(PARAMETERS)
+    first = snapshots[0]
+    assert list(filtering.add_measurements(first.stamp_ns, first.measurements)) == []
+    assert filtering.pending == 1
+    (output,) = filtering.flush()
+    assert filtering.problems["missing_control"] == 1
+    assert output.control == Control(0.0, 0.0)
+    # As if Doppler had not been measured at all.
+    values = first.measurements.values.copy()
+    values[:, DOPPLER] = math.nan
+    silent = MeasurementSet(values, first.measurements.covariances)
+    expected = step(initial_filter_state(PARAMETERS), silent, [], 0.0, PARAMETERS).state
+    np.testing.assert_array_equal(output.state.mean, expected.mean)
+    with_it = step(
+        initial_filter_state(PARAMETERS), first.measurements, [], 22.22, PARAMETERS
+    ).state
+    assert not np.array_equal(output.state.ue_mean, with_it.ue_mean)
+
+
+def test_a_path_of_doppler_alone_is_left_out_at_an_unknown_speed() -> None:
+    values = np.full((2, DIM), math.nan)
+    values[0, DOPPLER] = 3.0
+    values[1, :3] = [380.0, 0.3, 0.1]
+    filtering = FilterSession(PARAMETERS)
+    list(filtering.add_measurements(10**9, MeasurementSet(values, np.zeros((2, DIM, DIM)))))
+    (output,) = filtering.flush()
+    assert output.associations.ids.shape[1] == 1
+    assert np.isfinite(output.state.mean).all()
+
+
+def test_late_and_duplicate_sets_are_refused_and_leave_the_state(
+    snapshots: list[Snapshot],
+) -> None:
+    filtering = FilterSession(PARAMETERS)
+    for s in snapshots[:3]:
+        list(filtering.add_control(s.stamp_ns, s.control.speed, s.control.turn_rate))
+        assert len(list(filtering.add_measurements(s.stamp_ns, s.measurements))) == 1
+    before = filtering.state
+    for s in snapshots[:3]:
+        with pytest.raises(Refused) as caught:
+            list(filtering.add_measurements(s.stamp_ns, s.measurements))
+        last = s is snapshots[2]
+        assert caught.value.reason == ("duplicate_stamp" if last else "backward_time")
+    with pytest.raises(Refused) as caught:
+        list(filtering.add_control(s.stamp_ns, math.nan, 0.0))
+    assert caught.value.reason == "invalid_control"
+    assert filtering.state is before
+
+
+Failure = Any
+
+
+def broken(kind: str) -> Failure:
+    def fails(*arguments: Any) -> Any:
+        if kind == "raises":
+            raise np.linalg.LinAlgError("not positive definite")
+        outcome = step(*arguments)
+        mean, covariance = outcome.state.mean.copy(), outcome.state.covariance.copy()
+        if kind == "nan mean":
+            mean[1] = math.nan
+        else:
+            covariance[0, 1] = math.inf
+        return replace(outcome, state=replace(outcome.state, mean=mean, covariance=covariance))
+
+    return fails
+
+
+@pytest.mark.parametrize("kind", ["raises", "nan mean", "infinite covariance"])
+def test_a_numerical_failure_keeps_the_last_good_state(
+    snapshots: list[Snapshot], monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    filtering = FilterSession(PARAMETERS)
+
+    def feed(s: Snapshot) -> Iterator[FilterOutput]:
+        list(filtering.add_control(s.stamp_ns, s.control.speed, s.control.turn_rate))
+        yield from filtering.add_measurements(s.stamp_ns, s.measurements)
+
+    for s in snapshots[:3]:
+        assert len(list(feed(s))) == 1
+    good = filtering.state
+    with monkeypatch.context() as patch:
+        patch.setattr(session_module, "step", broken(kind))
+        assert list(feed(snapshots[3])) == []
+        assert list(feed(snapshots[4])) == []
+    assert filtering.state is good
+    assert filtering.problems["numerical_failure"] == 2
+    # The next step makes up for all of the motion since.
+    (output,) = feed(snapshots[5])
+    spans = [ControlSpan(snapshots[k].control, SCENARIO.period) for k in (2, 3, 4)]
+    expected = step(good, snapshots[5].measurements, spans, 22.22, PARAMETERS).state
+    np.testing.assert_array_equal(output.state.mean, expected.mean)
+    assert filtering.problems["numerical_failure"] == 2
+    # And the one after that starts from there again.
+    (output,) = feed(snapshots[6])
+    span = [ControlSpan(snapshots[5].control, SCENARIO.period)]
+    after = step(expected, snapshots[6].measurements, span, 22.22, PARAMETERS).state
+    np.testing.assert_array_equal(output.state.mean, after.mean)
+
+
+def test_an_infinite_covariance_from_the_sensor_cannot_reach_the_state() -> None:
+    huge = np.tile(np.diag([1e300, 1e300, 1e300, 1e300, 1e300, 1e300]), (1, 1, 1))
+    values: FloatArray = np.array([[381.0, 1.5, 0.5, 0.1, -0.5, 0.0]])
+    filtering = FilterSession(with_doppler_std(PARAMETERS, 0.1))
+    list(filtering.add_control(10**9, 22.22, 0.3))
+    for _ in filtering.add_measurements(10**9, MeasurementSet(values, huge)):
+        pass
+    assert np.isfinite(filtering.state.mean).all()
+    assert np.isfinite(filtering.state.covariance).all()
+
+
+@pytest.mark.parametrize("component", range(DIM))
+def test_a_component_that_is_never_measured_is_no_trouble(
+    snapshots: list[Snapshot], component: int
+) -> None:
+    filtering = FilterSession(PARAMETERS)
+    for s in snapshots:
+        values = s.measurements.values.copy()
+        values[:, component] = math.nan
+        list(filtering.add_control(s.stamp_ns, s.control.speed, s.control.turn_rate))
+        measurements = MeasurementSet(values, s.measurements.covariances)
+        (output,) = filtering.add_measurements(s.stamp_ns, measurements)
+        error = output.state.ue_mean - s.state
+        assert np.hypot(error[0], error[1]) < 4.0
+    assert not filtering.problems
