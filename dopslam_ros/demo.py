@@ -62,8 +62,8 @@ def run_live(
     }
     model = load_scenario(scenario)
     settings = {
-        "filter": to_mapping(filter_parameters_for(model)),
-        "bounds": to_mapping(bounds_parameters_for(model)),
+        "filter": {**to_mapping(filter_parameters_for(model)), "wait_for_nodes": "recorder"},
+        "bounds": {**to_mapping(bounds_parameters_for(model)), "wait_for_nodes": "recorder"},
         "recorder": {"bag": str(bag)},
         "simulator": {
             "scenario": str(scenario),

@@ -183,6 +183,7 @@ class Process:
                 stderr=err,
                 stdin=subprocess.DEVNULL,
                 cwd=folder,
+                start_new_session=True,
                 env={
                     **os.environ,
                     "ROS_DOMAIN_ID": str(domain),
@@ -212,6 +213,11 @@ class Process:
     def stop(self, number: int = signal.SIGINT) -> int:
         """Sends a signal and waits for the end; the exit code."""
         self.popen.send_signal(number)
+        return self.wait()
+
+    def interrupt_all(self) -> int:
+        """Ctrl-C as a terminal sends it, to children too; the exit code."""
+        os.killpg(self.popen.pid, signal.SIGINT)
         return self.wait()
 
 
@@ -296,18 +302,20 @@ def run_live(ros: Ros, bag: Path, scene: Path) -> LiveRun:
         **FRAMES,
     )
     last = (topics.UE_STATE, topics.LANDMARK_MARKERS, topics.BOUNDS)
-    ros.spin_until(
-        lambda: simulating.finished() and all(listener.count(t) == STEPS for t in last)
-    )
+    ros.spin_until(lambda: simulating.finished() and all(listener.count(t) == STEPS for t in last))
     for node in (simulating, filtering, bounding):
         node.publish_diagnostics()
         ros.remove(node)
     ros.spin_until(
-        lambda: listener.count(topics.DIAGNOSTICS) >= 3
-        and written(recording) == sum(map(listener.count, topics.RECORDED))
+        lambda: (
+            listener.count(topics.DIAGNOSTICS) >= 3
+            and written(recording) == sum(map(listener.count, topics.RECORDED))
+        )
     )
     ros.remove(recording)
-    return LiveRun(bag, {name: [bytes(p) for p in found] for name, found in listener.payloads.items()})
+    return LiveRun(
+        bag, {name: [bytes(p) for p in found] for name, found in listener.payloads.items()}
+    )
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -340,6 +348,16 @@ def simulated(tmp_path_factory: pytest.TempPathFactory, scene: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def cut_bag(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The simulated bag, cut off in the middle of its messages."""
+    path = tmp_path_factory.mktemp("bags") / "cut.mcap"
+    data = next(simulated.glob("*.mcap")).read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 10])
+    assert 4 < BagReader(path).message_count < BagReader(simulated).message_count
+    return path
+
+
+@pytest.fixture(scope="session")
 def live(tmp_path_factory: pytest.TempPathFactory, scene: Path) -> LiveRun:
     """A live run of the short scene with its bag; to be read only."""
     ros = Ros(new_domain())
@@ -352,6 +370,14 @@ def live(tmp_path_factory: pytest.TempPathFactory, scene: Path) -> LiveRun:
 @pytest.fixture
 def ros() -> Iterator[Ros]:
     """ROS in a domain of its own."""
+    ros = Ros(new_domain())
+    yield ros
+    ros.close()
+
+
+@pytest.fixture(scope="session")
+def session_ros() -> Iterator[Ros]:
+    """ROS in a domain of its own, for fixtures that several tests share."""
     ros = Ros(new_domain())
     yield ros
     ros.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -95,8 +96,13 @@ def run_study(
     if workers == 1:
         yield from map(one, range(runs))
         return
-    with ProcessPoolExecutor(workers) as pool:
+    # Ctrl-C is for this process alone, which then gives up what has not begun.
+    ignore = (signal.SIGINT, signal.SIG_IGN)
+    pool = ProcessPoolExecutor(workers, initializer=signal.signal, initargs=ignore)
+    try:
         yield from pool.map(one, range(runs))
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 class SourceTracker:

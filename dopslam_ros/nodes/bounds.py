@@ -31,6 +31,9 @@ class BoundsNodeParameters(BoundsParameters):
     """The settings of the bounds and the node's own."""
 
     map_frame: str = parameter("map", "Frame that the bounds are stamped with.")
+    wait_for_nodes: str = parameter(
+        "", "Names of nodes, separated by commas, that must get the bounds before any is made."
+    )
 
 
 class BoundsNode(DopslamNode):
@@ -47,10 +50,13 @@ class BoundsNode(DopslamNode):
         self._states: dict[int, FloatArray] = {}
         self._published = 0
         self._bounds = self.output(topics.BOUNDS)
-        if p.source != "estimate":
+        self.start_when_joined(p.wait_for_nodes, [self._bounds.publisher], self._start)
+
+    def _start(self) -> None:
+        if self._source != "estimate":
             self.subscribe(topics.TRUTH_LANDMARKS, self._on_true_map)
             self.subscribe(topics.TRUTH_UE, lambda m: self._on_state("truth", m))
-        if p.source != "truth":
+        if self._source != "truth":
             self.subscribe(topics.LANDMARKS, self._on_map)
             self.subscribe(topics.UE_STATE, lambda m: self._on_state("estimate", m))
         self.subscribe_last(topics.ODOMETRY_CONTROL, self._on_control)

@@ -30,6 +30,9 @@ class FilterNodeParameters(FilterParameters):
 
     map_frame: str = parameter("map", "Frame of everything that is estimated.")
     base_frame: str = parameter("base_link", "Frame of the vehicle.")
+    wait_for_nodes: str = parameter(
+        "", "Names of nodes, separated by commas, that must get the results before any is made."
+    )
     path_poses: int = parameter(1000, "Most poses that the path keeps.", low=1, high=1_000_000)
 
 
@@ -51,9 +54,13 @@ class FilterNode(DopslamNode):
         self._step_seconds: list[float] = []
         self._sets = 0
         self._idle = False
+        publishers = [output.publisher for output in self._outputs.values()]
+        self.start_when_joined(p.wait_for_nodes, publishers, self._start)
+
+    def _start(self) -> None:
         self.subscribe(topics.CHANNEL_MEASUREMENTS, self._on_measurements)
         self.subscribe_last(topics.ODOMETRY_CONTROL, self._on_control)
-        self.create_timer(p.control_wait, self._on_silence)
+        self.create_timer(self._session.parameters.control_wait, self._on_silence)
         self.get_logger().info("ready")
 
     def _on_control(self, message: Any) -> None:

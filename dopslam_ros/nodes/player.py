@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
@@ -15,16 +14,15 @@ from dopslam_ros.bag import BagError, BagMessage, BagReader, Durability, TopicIn
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.messages import make_time
 from dopslam_ros.nodes.runtime import (
+    STEADY,
     DopslamNode,
     StartError,
     middleware_class,
-    names,
     qos_profile,
     serve,
 )
 
 TICK = 0.005
-_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 # Messages in a tick at most: readers with queues of finite depth must keep up.
 MOST_PER_TICK = 100
 
@@ -66,7 +64,6 @@ class PlayerNode(DopslamNode):
             raise StartError(str(error)) from error
         if self._reader.damage:
             self.get_logger().warning(self._reader.damage)
-        self._wait_for = names(p.wait_for_nodes)
         self._players = {
             name: self.create_publisher(
                 middleware_class(info.type_name),
@@ -86,10 +83,10 @@ class PlayerNode(DopslamNode):
         self._clock_publisher = self.create_publisher(
             middleware_class("rosgraph_msgs/msg/Clock"), "/clock", 10
         )
-        self._timer = self.create_timer(0.2, self._wait)
         self.get_logger().info(
             f"ready: {len(self._players)} topics of {p.bag}: {', '.join(sorted(self._players))}"
         )
+        self.start_when_joined(p.wait_for_nodes, self._players.values(), self._start)
 
     def _wanted(self, name: str) -> bool:
         outputs = (*topics.OUTPUTS, topics.DIAGNOSTICS)
@@ -111,18 +108,13 @@ class PlayerNode(DopslamNode):
     def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
         return 0, f"{self._sent} messages published", [("messages_published", self._sent)]
 
-    def _wait(self) -> None:
-        missing = self.joined(self._wait_for, self._players.values())
-        if missing:
-            self.get_logger().info(f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0)
-            return
-        self.destroy_timer(self._timer)
-        # The wall clock drives the player: it may well be the source of the ROS time.
-        self._tick_ns = _STEADY.now().nanoseconds
-        self._timer = self.create_timer(TICK, self._play, clock=_STEADY)
+    def _start(self) -> None:
+        # The steady clock drives the player: it may well be the source of the ROS time.
+        self._tick_ns = STEADY.now().nanoseconds
+        self.create_timer(TICK, self._play, clock=STEADY)
 
     def _play(self) -> None:
-        now = _STEADY.now().nanoseconds
+        now = STEADY.now().nanoseconds
         elapsed, self._tick_ns = now - self._tick_ns, now
         if self._settings.paused or self._next is None:
             return

@@ -19,6 +19,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
@@ -49,6 +50,8 @@ P = TypeVar("P")
 DIAGNOSTICS_PERIOD = 1.0
 # How often a kind of trouble is written to the log at most [s].
 LOG_PERIOD = 5.0
+JOIN_PERIOD = 0.2
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 # Messages that wait for a subscriber that is busy.
 READING_DEPTH = 1000
 
@@ -231,6 +234,37 @@ class DopslamNode(Node):
             p.get_subscription_count() >= self.count_subscribers(p.topic_name) for p in publishers
         )
         return [name for name in names if name not in present or not matched]
+
+    def start_when_joined(
+        self, listeners: str, publishers: Iterable[Publisher], start: Callable[[], None]
+    ) -> None:
+        """Calls ``start`` once nothing can be lost to the listeners any more.
+
+        Nodes wait for each other in a chain: the filter subscribes only when its own listeners get
+        what it publishes, so the simulator, which waits for the filter, waits for those too.
+
+        Args:
+            listeners: names of nodes, separated by commas; none: start at once.
+            publishers: what they listen to.
+            start: what to begin.
+        """
+        wanted, outputs = names(listeners), list(publishers)
+        if not wanted:
+            start()
+            return
+
+        def look() -> None:
+            missing = self.joined(wanted, outputs)
+            if missing:
+                self.get_logger().info(
+                    f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0
+                )
+                return
+            self.destroy_timer(timer)
+            start()
+
+        # The steady clock: where time is simulated it may not run before this node does.
+        timer = self.create_timer(JOIN_PERIOD, look, clock=STEADY)
 
     def refuse(self, source: str, error: Exception) -> None:
         """Counts an input that was refused and logs it, each reason at most every few seconds."""

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 from rclpy.duration import Duration
+from rclpy.timer import Timer
 
 from dopslam_ros import topics
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.core.scenario import START_NS, ScenarioError, load_scenario
 from dopslam_ros.core.simulator import simulate
 from dopslam_ros.messages import Frames
-from dopslam_ros.nodes.runtime import DopslamNode, StartError, names, serve
+from dopslam_ros.nodes.runtime import DopslamNode, StartError, serve
 from dopslam_ros.simulation import Message, map_message, snapshot_messages
 
 
@@ -54,17 +55,18 @@ class SimulatorNode(DopslamNode):
         self._run = simulate(self._scenario, np.random.default_rng(seed))
         self._frames = Frames(p.map_frame, p.base_frame)
         self._exit = p.exit_when_done
-        self._wait_for = names(p.wait_for_nodes)
         self._start_time = p.start_time
         self._offset_ns = 0
         self._sent = 0
         self._done = False
         self._outputs = {topic.name: self.output(topic) for topic in topics.INPUTS}
-        self._timer = self.create_timer(0.2, self._wait)
         self._rate = p.rate
+        self._timer: Timer | None = None
         self.get_logger().info(
             f"ready: scene '{self._scenario.name}', {self._scenario.steps} snapshots, seed {seed}"
         )
+        publishers = [output.publisher for output in self._outputs.values()]
+        self.start_when_joined(p.wait_for_nodes, publishers, self._start)
 
     def parameters_changed(self, parameters: Any) -> None:
         self._rate = parameters.rate
@@ -82,12 +84,7 @@ class SimulatorNode(DopslamNode):
         steps = self._scenario.steps
         return 0, f"{self._sent} of {steps} snapshots sent", [("snapshots_sent", self._sent)]
 
-    def _wait(self) -> None:
-        publishers = [output.publisher for output in self._outputs.values()]
-        missing = self.joined(self._wait_for, publishers)
-        if missing:
-            self.get_logger().info(f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0)
-            return
+    def _start(self) -> None:
         now = self.get_clock().now().nanoseconds
         start = round(self._start_time * 1e9) if self._start_time > 0.0 else now
         self._offset_ns = start - START_NS
@@ -95,14 +92,19 @@ class SimulatorNode(DopslamNode):
         self._restart_timer()
 
     def _restart_timer(self) -> None:
-        self.destroy_timer(self._timer)
+        self._stop_timer()
         self._timer = self.create_timer(self._scenario.period / self._rate, self._send)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
 
     def _send(self) -> None:
         snapshot = next(self._run, None)
         if snapshot is None:
             self._done = True
-            self.destroy_timer(self._timer)
+            self._stop_timer()
             self.get_logger().info(f"done: {self._sent} snapshots sent")
             return
         time_ns = snapshot.stamp_ns + self._offset_ns

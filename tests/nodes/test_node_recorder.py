@@ -1,0 +1,184 @@
+"""The recorder: everything that was published is in a bag that every tool can read."""
+
+from __future__ import annotations
+
+import signal
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+
+from dopslam_ros import topics
+from dopslam_ros.bag import BagReader, Durability, Reliability, type_hash, typestore
+from dopslam_ros.nodes.recorder import RecorderNode
+from dopslam_ros.nodes.runtime import StartError
+
+if TYPE_CHECKING:
+    from tests.conftest import LiveRun, Processes, Ros
+
+
+def full_name(topic: topics.Topic) -> str:
+    """The topic's name in a bag recorded without a namespace."""
+    return "/" + topic.name.lstrip("/")
+
+
+def test_the_bag_holds_every_message(
+    live: LiveRun, bag_payloads: Callable[..., list[bytes]]
+) -> None:
+    """Every message of every topic is there, byte for byte and in the order it was heard."""
+    for topic in topics.RECORDED:
+        recorded = bag_payloads(live.bag, topic)
+        assert Counter(recorded) == Counter(live.heard[topic.name]), topic.name
+        if topic != topics.DIAGNOSTICS:  # those of several publishers may overtake each other
+            assert recorded == live.heard[topic.name], topic.name
+    assert BagReader(live.bag).damage is None
+
+
+def test_offers_and_hashes_are_stored(live: LiveRun) -> None:
+    """Per topic: the type, its hash and the quality of service that its publishers offered."""
+    found = BagReader(live.bag).topics
+    assert set(found) == {full_name(topic) for topic in topics.RECORDED}
+    for topic in topics.RECORDED:
+        info = found[full_name(topic)]
+        assert info.type_name == topic.type_name
+        assert info.type_hash == type_hash(topic.type_name)
+        assert info.type_hash.startswith("RIHS01_")
+        (qos,) = info.qos
+        assert qos.reliability == Reliability.RELIABLE
+        assert qos.durability == (
+            Durability.TRANSIENT_LOCAL if topic.latched else Durability.VOLATILE
+        ), topic.name
+
+
+def test_hashes_are_those_of_the_middleware(ros: Ros, live: LiveRun) -> None:
+    """The hash in the bag is the one that discovery reports for a publisher of the type."""
+    from dopslam_ros.nodes.runtime import middleware_class
+
+    node = ros.node("publisher")
+    for topic in topics.RECORDED:
+        node.create_publisher(middleware_class(topic.type_name), topic.name, 1)
+    for topic in topics.RECORDED:
+        (info,) = node.get_publishers_info_by_topic(full_name(topic))
+        digest = "".join(f"{byte:02x}" for byte in info.topic_type_hash.value)
+        stored = BagReader(live.bag).topics[full_name(topic)].type_hash
+        assert stored == f"RIHS{info.topic_type_hash.version:02d}_{digest}"
+
+
+def test_another_library_reads_the_bag(live: LiveRun) -> None:
+    """The library rosbags opens the bag and finds the same messages, and can read each."""
+    with AnyReader([live.bag], default_typestore=typestore()) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+        assert counts == {full_name(t): len(live.heard[t.name]) for t in topics.RECORDED}
+        for connection, _, payload in reader.messages():
+            reader.deserialize(payload, connection.msgtype)
+
+
+def test_the_definition_in_the_bag_is_enough(live: LiveRun) -> None:
+    """The types can be read from the bag alone, as a viewer does that has none of our packages."""
+    with AnyReader([live.bag]) as reader:
+        names = {"/ue_state", "/channel_measurements", "/landmarks", "/bounds"}
+        connections = [c for c in reader.connections if c.topic in names]
+        assert {c.topic for c in connections} == names
+        for connection, _, payload in reader.messages(connections):
+            message = reader.deserialize(payload, connection.msgtype)
+            assert message.header.stamp.sec > 0
+
+
+def test_an_existing_folder_is_left_alone(ros: Ros, tmp_path: Path) -> None:
+    """A bag is never overwritten: the node does not start and says which folder it is about."""
+    folder = tmp_path / "taken"
+    folder.mkdir()
+    with pytest.raises(StartError, match=r"taken' exists already .* choose another name"):
+        ros.start(RecorderNode, bag=str(folder))
+    assert not list(folder.iterdir())
+
+
+def test_extra_topics_are_found(ros: Ros, tmp_path: Path) -> None:
+    """A topic named by the user is recorded with the type that its publisher has."""
+    from std_msgs.msg import Float64
+
+    recorder = ros.start(RecorderNode, bag=str(tmp_path / "bag"), extra_topics="speed, nobody")
+    publisher = ros.node("car").create_publisher(Float64, "speed", 10)
+    ros.spin_until(lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(Float64(data=3.5))
+    ros.spin_until(lambda: dict(recorder.health()[2])["messages_written"] >= 1)
+    ros.remove(recorder)
+    info = BagReader(tmp_path / "bag").topics["/speed"]
+    assert (info.type_name, info.message_count) == ("std_msgs/msg/Float64", 1)
+
+
+def test_garbage_is_recorded_as_it_is(
+    ros: Ros, tmp_path: Path, bag_payloads: Callable[..., list[bytes]]
+) -> None:
+    """The recorder does not look into messages: what cannot be read is kept for later."""
+    from dopslam_ros.nodes.runtime import middleware_class, qos_profile
+
+    recorder = ros.start(RecorderNode, bag=str(tmp_path / "bag"))
+    topic = topics.CHANNEL_MEASUREMENTS
+    publisher = ros.node("car").create_publisher(
+        middleware_class(topic.type_name), topic.name, qos_profile(topic.qos)
+    )
+    ros.spin_until(lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(b"\0\1\0\0rubbish!")
+    ros.spin_until(lambda: dict(recorder.health()[2])["messages_written"] >= 1)
+    ros.remove(recorder)
+    assert bag_payloads(tmp_path / "bag", topic) == [b"\0\1\0\0rubbish!"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_closes_the_bag(
+    processes: Processes, ros: Ros, tmp_path: Path, number: signal.Signals
+) -> None:
+    """Ctrl-C or a kill in the middle of the stream: exit 0, no traceback, an indexed bag."""
+    from rclpy.duration import Duration
+
+    from dopslam_ros.bag import message_class, serialize
+    from dopslam_ros.core.motion import Control
+    from dopslam_ros.messages import Frames, make_control
+    from dopslam_ros.nodes.runtime import middleware_class, qos_profile
+
+    processes.domain = ros.domain
+    bag = tmp_path / "bag"
+    recorder = processes.node("recorder", bag=bag)
+    recorder.wait_for("ready")
+    topic = topics.ODOMETRY_CONTROL
+    publisher = ros.node("car").create_publisher(
+        middleware_class(topic.type_name), topic.name, qos_profile(topic.qos)
+    )
+    ros.spin_until(lambda: publisher.get_subscription_count() == 1)
+    for step in range(300):
+        message = make_control(message_class, 10**9 + step, Control(1.0, 0.0), Frames())
+        publisher.publish(serialize(message, topic.type_name))
+    assert publisher.wait_for_all_acked(Duration(seconds=5.0))
+    if number == signal.SIGTERM:  # what is there is there while the recording goes on, too
+        ros.spin_until(lambda: _count(bag, topic) > 0)
+    assert recorder.stop(number) == 0, recorder.stderr
+    assert "Traceback" not in recorder.stderr
+    reader = BagReader(bag)
+    assert reader.damage is None
+    assert 0 < reader.topics["/odometry_control"].message_count <= 300
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text("utf-8"))
+    counted = metadata["rosbag2_bagfile_information"]["message_count"]
+    assert counted == reader.message_count
+    assert f"closed {bag}: {counted} messages" in recorder.stderr
+    with AnyReader([bag], default_typestore=typestore()) as other:
+        assert other.message_count == counted
+
+
+def test_an_existing_folder_ends_the_process(processes: Processes, tmp_path: Path) -> None:
+    """As a process: exit code 2 and one line that names the folder."""
+    (tmp_path / "taken").mkdir()
+    recorder = processes.node("recorder", bag=tmp_path / "taken")
+    assert recorder.wait() == 2
+    assert "Traceback" not in recorder.stderr
+    lines = [line for line in recorder.stderr.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1 and "exists already" in lines[0]
+
+
+def _count(bag: Path, topic: topics.Topic) -> int:
+    info = BagReader(bag).topics.get(full_name(topic))
+    return info.message_count if info else 0
