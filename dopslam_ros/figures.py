@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.metrics import state_errors
-from dopslam_ros.messages import COLOURS, ELLIPSOID_PROBABILITY
+from dopslam_ros.filter_messages import COLOURS, ELLIPSOID_PROBABILITY
 from dopslam_ros.replay import Replay
 
 TRUTH = "0.35"

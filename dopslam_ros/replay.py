@@ -16,13 +16,12 @@ from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.evaluation import StepRecord, judge_step
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import declarations, from_mapping
-from dopslam_ros.core.sequence import Refused
+from dopslam_ros.core.refusal import Refused
 from dopslam_ros.core.session import BoundsOutput, BoundsSession, FilterOutput, FilterSession
 from dopslam_ros.core.study import bounds_parameters_for
+from dopslam_ros.filter_messages import FilterMessages
 from dopslam_ros.messages import (
-    FilterMessages,
     Frames,
-    InvalidMessage,
     MapArrays,
     make_bounds,
     make_text,
@@ -166,7 +165,7 @@ class _Run:
             )
         try:
             self._dispatch(topic, read_message(message.payload, topic))
-        except (InvalidMessage, Refused) as error:
+        except Refused as error:
             self.result.problems[error.reason] += 1
         except (ValueError, OverflowError, ArithmeticError) as error:
             self.result.problems[type(error).__name__] += 1

@@ -19,11 +19,11 @@ from dopslam_ros.core.filter import (
 )
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import Control
+from dopslam_ros.core.refusal import Refused
 from dopslam_ros.core.session import FilterOutput
+from dopslam_ros.filter_messages import FilterMessages
 from dopslam_ros.messages import (
-    FilterMessages,
     Frames,
-    InvalidMessage,
     make_control,
     make_header,
     make_map,
@@ -242,14 +242,14 @@ def test_impossible_stamps(sec: int, nanosec: int, reason: str) -> None:
     header = make_header(message_class, 1, "map")
     assert stamp_ns(header) == 1
     header.stamp.sec, header.stamp.nanosec = sec, nanosec
-    with pytest.raises(InvalidMessage) as error:
+    with pytest.raises(Refused) as error:
         stamp_ns(header)
     assert error.value.reason == reason
 
 
 def test_bytes_that_are_no_message() -> None:
     """The error says how many bytes of what they are not."""
-    with pytest.raises(InvalidMessage, match=r"3 bytes are no dopslam_msgs/msg/UeState") as error:
+    with pytest.raises(Refused, match=r"3 bytes are no dopslam_msgs/msg/UeState") as error:
         read_message(b"abc", topics.UE_STATE)
     assert error.value.reason == "malformed_message"
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, wrap_angle
 from dopslam_ros.core.channel import AZIMUTHS, COMPONENTS, DIM
+from dopslam_ros.core.refusal import Refused
 
 # Magnitudes beyond which a number cannot be a measurement of its kind [m, rad, ..., m/s].
 PLAUSIBLE = np.array([1e7, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1e5])
@@ -15,16 +16,8 @@ PLAUSIBLE = np.array([1e7, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1e5])
 MOST_PATHS = 10_000
 
 
-class InvalidMeasurements(ValueError):
-    """A measurement set that must not reach the filter.
-
-    Attributes:
-        reason: a short key to count by.
-    """
-
-    def __init__(self, reason: str, message: str) -> None:
-        super().__init__(message)
-        self.reason = reason
+class InvalidMeasurements(Refused):
+    """A measurement set that must not reach the filter."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from dopslam_ros.core.motion import Control, ControlSpan
+from dopslam_ros.core.refusal import Refused
 
 Item = TypeVar("Item")
 
@@ -24,18 +25,6 @@ MOST_PENDING = 1000
 # Plausible controls [m/s], [rad/s].
 FASTEST = 1e4
 FASTEST_TURN = 1e3
-
-
-class Refused(ValueError):
-    """An input that is not used.
-
-    Attributes:
-        reason: a short key to count by.
-    """
-
-    def __init__(self, reason: str, message: str) -> None:
-        super().__init__(message)
-        self.reason = reason
 
 
 @dataclass(frozen=True)

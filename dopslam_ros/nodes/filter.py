@@ -13,14 +13,8 @@ from dopslam_ros.bag import message_class
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import commented_yaml, parameter
 from dopslam_ros.core.session import FilterOutput, FilterSession
-from dopslam_ros.messages import (
-    FilterMessages,
-    Frames,
-    make_text,
-    read_control,
-    read_measurements,
-    stamp_ns,
-)
+from dopslam_ros.filter_messages import FilterMessages
+from dopslam_ros.messages import Frames, make_text, read_control, read_measurements, stamp_ns
 from dopslam_ros.nodes.runtime import DopslamNode, serve
 
 

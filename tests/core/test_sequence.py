@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.motion import Control, ControlSpan
-from dopslam_ros.core.sequence import MOST_PENDING, Refused, Sequencer, Timed
+from dopslam_ros.core.refusal import Refused
+from dopslam_ros.core.sequence import MOST_PENDING, Sequencer, Timed
 
 SECOND = 1_000_000_000
 Released = list[Timed[str]]

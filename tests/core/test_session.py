@@ -17,8 +17,8 @@ from dopslam_ros.core.filter import FilterParameters, initial_filter_state, step
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import with_doppler_std
 from dopslam_ros.core.motion import Control, ControlSpan
+from dopslam_ros.core.refusal import Refused
 from dopslam_ros.core.scenario import load_scenario
-from dopslam_ros.core.sequence import Refused
 from dopslam_ros.core.session import FilterOutput, FilterSession
 from dopslam_ros.core.simulator import Snapshot, simulate
 from dopslam_ros.core.study import filter_parameters_for

@@ -1,0 +1,201 @@
+"""What the filter node publishes after a step: poses, path, map and markers as messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from dopslam_ros import topics
+from dopslam_ros.core.arrays import FloatArray
+from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.filter import LandmarkEstimates
+from dopslam_ros.core.session import FilterOutput
+from dopslam_ros.messages import (
+    BS_ID,
+    Frames,
+    Types,
+    make_header,
+    make_map,
+    make_point,
+    make_quaternion,
+    make_twist,
+    make_ue_state,
+)
+
+# The ellipsoids that are drawn hold the landmark with this probability.
+ELLIPSOID_PROBABILITY = 0.95
+COLOURS = {
+    LandmarkType.BS: (0.1, 0.1, 0.1),
+    LandmarkType.VA: (0.0, 0.45, 0.7),
+    LandmarkType.SP: (0.85, 0.37, 0.0),
+}
+
+
+@dataclass
+class FilterMessages:
+    """Turns filter outputs into messages; remembers the path driven and the markers shown.
+
+    Attributes:
+        types: finds message classes.
+        bs: (3,) position of the BS [m].
+        ue_height: height of the vehicle's antenna [m].
+        frames: names of the frames.
+        path_poses: most poses that the path keeps.
+    """
+
+    types: Types
+    bs: FloatArray
+    ue_height: float = 0.0
+    frames: Frames = field(default_factory=Frames)
+    path_poses: int = 1000
+
+    def __post_init__(self) -> None:
+        self._poses: list[Any] = []
+        self._shown: set[tuple[str, int]] = set()
+
+    def of(self, output: FilterOutput) -> list[tuple[topics.Topic, Any]]:
+        """All messages of one output, in the order in which they are to be sent."""
+        types, frames, time_ns = self.types, self.frames, output.stamp_ns
+        mean, covariance = output.state.ue_mean, output.state.ue_covariance
+        header = make_header(types, time_ns, frames.map)
+        pose = self._pose(mean)
+        with_covariance = types("geometry_msgs/msg/PoseWithCovariance")(
+            pose=pose, covariance=_pose_covariance(covariance)
+        )
+        self._poses.append(types("geometry_msgs/msg/PoseStamped")(header=header, pose=pose))
+        del self._poses[: -self.path_poses]
+        odometry = types(topics.ODOMETRY.type_name)(
+            header=header,
+            child_frame_id=frames.base,
+            pose=with_covariance,
+            twist=types("geometry_msgs/msg/TwistWithCovariance")(
+                twist=make_twist(types, output.control), covariance=np.zeros(36)
+            ),
+        )
+        return [
+            (topics.UE_STATE, make_ue_state(types, time_ns, mean, covariance, frames)),
+            (
+                topics.UE_POSE,
+                types(topics.UE_POSE.type_name)(header=header, pose=with_covariance),
+            ),
+            (topics.ODOMETRY, odometry),
+            (topics.PATH, types(topics.PATH.type_name)(header=header, poses=list(self._poses))),
+            (topics.LANDMARKS, make_map(types, time_ns, output.landmarks, self.bs, frames)),
+            (topics.LANDMARK_MARKERS, self._markers(time_ns, output.landmarks)),
+        ]
+
+    def _pose(self, mean: FloatArray) -> Any:
+        x, y, heading, _ = (float(v) for v in mean)
+        return self.types("geometry_msgs/msg/Pose")(
+            position=make_point(self.types, (x, y, self.ue_height)),
+            orientation=make_quaternion(self.types, Rotation.from_euler("z", heading)),
+        )
+
+    def _markers(self, time_ns: int, landmarks: LandmarkEstimates) -> Any:
+        """A solid body and an ellipsoid per landmark; DELETE for what is gone."""
+        kinds = [LandmarkType.BS, *(LandmarkType(int(k)) for k in landmarks.types)]
+        ids = [BS_ID, *landmarks.ids.tolist()]
+        positions = np.vstack([self.bs, landmarks.positions])
+        shown: set[tuple[str, int]] = set()
+        markers = []
+        for number, (kind, landmark) in enumerate(zip(kinds, ids, strict=True)):
+            key = (kind.name, landmark)
+            shown.add(key)
+            existence = 1.0 if number == 0 else float(landmarks.existence[number - 1])
+            markers.append(self._body(time_ns, kind, key, positions[number], existence))
+            if kind != LandmarkType.BS:
+                key = (f"{kind.name}_ellipsoid", landmark)
+                shown.add(key)
+                covariance = landmarks.covariances[number - 1]
+                markers.append(self._ellipsoid(time_ns, kind, key, positions[number], covariance))
+        gone = sorted(self._shown - shown)
+        self._shown = shown
+        markers += [self._marker(time_ns, key, action=2) for key in gone]
+        return self.types(topics.LANDMARK_MARKERS.type_name)(markers=markers)
+
+    def _body(
+        self,
+        time_ns: int,
+        kind: LandmarkType,
+        key: tuple[str, int],
+        position: FloatArray,
+        existence: float,
+    ) -> Any:
+        size = {LandmarkType.BS: 4.0, LandmarkType.VA: 3.0, LandmarkType.SP: 2.0}[kind]
+        shape = 3 if kind == LandmarkType.BS else 1 if kind == LandmarkType.VA else 2
+        return self._marker(
+            time_ns, key, shape, position, (size, size, size), (*COLOURS[kind], existence)
+        )
+
+    def _ellipsoid(
+        self,
+        time_ns: int,
+        kind: LandmarkType,
+        key: tuple[str, int],
+        position: FloatArray,
+        covariance: FloatArray,
+    ) -> Any:
+        variances, axes = np.linalg.eigh(covariance)
+        if np.linalg.det(axes) < 0.0:
+            axes = -axes
+        radius = np.sqrt(np.maximum(variances, 0.0) * chi2.ppf(ELLIPSOID_PROBABILITY, 3))
+        size = np.maximum(2.0 * radius, 1e-3)
+        return self._marker(
+            time_ns, key, 2, position, size, (*COLOURS[kind], 0.25), Rotation.from_matrix(axes)
+        )
+
+    def _marker(
+        self,
+        time_ns: int,
+        key: tuple[str, int],
+        shape: int = 2,
+        position: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
+        size: Sequence[float] | FloatArray = (1.0, 1.0, 1.0),
+        colour: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        rotation: Rotation | None = None,
+        action: int = 0,
+    ) -> Any:
+        types = self.types
+        x, y, z = (float(v) for v in size)
+        r, g, b, a = (float(v) for v in colour)
+        return types("visualization_msgs/msg/Marker")(
+            header=make_header(types, time_ns, self.frames.map),
+            ns=key[0],
+            id=key[1],
+            type=shape,
+            action=action,
+            pose=types("geometry_msgs/msg/Pose")(
+                position=make_point(types, position),
+                orientation=make_quaternion(types, rotation or Rotation.identity()),
+            ),
+            scale=types("geometry_msgs/msg/Vector3")(x=x, y=y, z=z),
+            color=types("std_msgs/msg/ColorRGBA")(r=r, g=g, b=b, a=a),
+            lifetime=types("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
+            frame_locked=False,
+            points=[],
+            colors=[],
+            texture_resource="",
+            texture=types("sensor_msgs/msg/CompressedImage")(
+                header=make_header(types, 0, ""), format="", data=np.zeros(0, np.uint8)
+            ),
+            uv_coordinates=[],
+            text="",
+            mesh_resource="",
+            mesh_file=types("visualization_msgs/msg/MeshFile")(
+                filename="", data=np.zeros(0, np.uint8)
+            ),
+            mesh_use_embedded_materials=False,
+        )
+
+
+def _pose_covariance(covariance: FloatArray) -> FloatArray:
+    """(36,) row-major over x, y, z, roll, pitch, yaw (REP-103) from (4, 4); the rest is known."""
+    pose = np.zeros((6, 6))
+    index = [0, 1, 5]
+    pose[np.ix_(index, index)] = covariance[:3, :3]
+    return pose.reshape(-1)
