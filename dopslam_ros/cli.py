@@ -56,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns 0, 1 if it failed, 2 if it was asked wrongly, 130 on Ctrl-C."""
     options = _parser().parse_args(arguments)
     try:
+        _check_files(options)
         return int(options.run(options))
     except (UsageError, ScenarioError, ParameterError) as error:
         _complain(error)
@@ -106,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("replay", _replay, "filter a bag offline, as fast as it goes")
     sub.add_argument("bag", type=Path, help="folder of a bag, or an .mcap file")
     sub.add_argument("--out", type=Path, help="folder of a new bag with the results")
-    sub.add_argument("--picture", type=Path, help="PNG file of track, map and errors")
+    sub.add_argument("--picture", type=Path, help="file (.png, .svg) of track, map and errors")
     _add_settings(sub)
     _add_json(sub)
 
@@ -399,6 +400,16 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def _check_files(options: Any) -> None:
+    """Files that cannot be written are told before the work is done, not after."""
+    for option in ("json", "picture"):
+        path: Path | None = getattr(options, option, None)
+        if path is not None and (not path.parent.is_dir() or path.is_dir()):
+            raise UsageError(f"--{option} {path}: give a file in a folder that exists")
+        if path is not None and option == "picture" and path.suffix not in (".png", ".svg"):
+            raise UsageError(f"--picture {path}: give a name that ends in .png or .svg")
 
 
 def _positive(text: str) -> float:

@@ -17,7 +17,13 @@ from dopslam_ros.core.evaluation import StepRecord, judge_step
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import declarations, from_mapping
 from dopslam_ros.core.refusal import Refused
-from dopslam_ros.core.session import BoundsOutput, BoundsSession, FilterOutput, FilterSession
+from dopslam_ros.core.session import (
+    BoundsOutput,
+    BoundsSession,
+    FilterOutput,
+    FilterSession,
+    WorldState,
+)
 from dopslam_ros.core.study import bounds_parameters_for
 from dopslam_ros.filter_messages import FilterMessages
 from dopslam_ros.messages import (
@@ -97,6 +103,8 @@ def replay(
 ) -> Replay:
     """Runs the filter and the bounds over the inputs in a bag.
 
+    The bounds are evaluated at the truth if the bag has it, else at the estimate.
+
     The filter is set as it was when the bag was recorded, if the bag says so, changed by
     ``overrides``. The order of the messages within each topic counts, not how topics interleave.
 
@@ -122,7 +130,8 @@ def replay(
     filter_settings = {name: value for name, value in settings.items() if name in known}
     parameters = from_mapping(FilterParameters, {**filter_settings, **(overrides or {})})
 
-    run = _Run(parameters, frames, path_poses, prefix, writer)
+    has_truth = prefix + topics.TRUTH_UE.name in reader.topics
+    run = _Run(parameters, frames, path_poses, prefix, has_truth, writer)
     if writer is not None:
         _announce(reader, writer, prefix)
         run.write_parameters(reader, settings, overrides or {})
@@ -142,9 +151,11 @@ class _Run:
         frames: Frames,
         path_poses: int,
         prefix: str,
+        has_truth: bool,
         writer: BagWriter | None,
     ) -> None:
         self.result = Replay(parameters)
+        self._has_truth = has_truth
         self._filter = FilterSession(parameters)
         self._bounds = BoundsSession(bounds_parameters_for(parameters))
         self._messages = FilterMessages(
@@ -216,6 +227,10 @@ class _Run:
     def _filtered(self, outputs: Iterable[FilterOutput]) -> None:
         for output in outputs:
             self.result.outputs.append(output)
+            if not self._has_truth:
+                found = output.landmarks
+                world = WorldState(output.state.ue_mean, found.ids, found.types, found.positions)
+                self._bounded(self._bounds.add_world(output.stamp_ns, world))
             if self._writer is not None:
                 for topic, message in self._messages.of(output):
                     self._write(topic, message)

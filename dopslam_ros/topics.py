@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from dopslam_ros.bag.qos import Durability, History, OfferedQos, Reliability
@@ -61,4 +62,17 @@ OUTPUTS = (
     LANDMARK_MARKERS,
     BOUNDS,
 )
+
+
+def output_names(recorded: Iterable[str]) -> set[str]:
+    """Those of the topics recorded that the filter and the bounds of some vehicle had published.
+
+    A vehicle's namespace is where its measurement sets are.
+    """
+    names = set(recorded)
+    ending = "/" + CHANNEL_MEASUREMENTS.name
+    prefixes = [n.removesuffix(CHANNEL_MEASUREMENTS.name) for n in names if n.endswith(ending)]
+    return {DIAGNOSTICS.name} | {prefix + t.name for prefix in prefixes for t in OUTPUTS}
+
+
 RECORDED = (*INPUTS, *OUTPUTS, DIAGNOSTICS)

@@ -12,6 +12,8 @@ from dopslam_ros.core.refusal import Refused
 
 # Magnitudes beyond which a number cannot be a measurement of its kind [m, rad, ..., m/s].
 PLAUSIBLE = np.array([1e7, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1e5])
+# Variances beyond these belong to no receiver, and would spoil the arithmetic.
+LEAST_VARIANCE, MOST_VARIANCE = 1e-18, 1e18
 # More paths than any channel estimator resolves.
 MOST_PATHS = 10_000
 
@@ -26,7 +28,8 @@ class MeasurementSet:
 
     Attributes:
         values: (J, 6) measured components; NaN where not measured.
-        covariances: (J, 6, 6) their covariance; all zero for a path that leaves it to the filter.
+        covariances: (J, 6, 6) their covariance, zero where not measured; all zero for a path that
+            leaves it to the filter.
     """
 
     values: FloatArray
@@ -60,7 +63,9 @@ def checked_measurements(values: FloatArray, covariances: FloatArray) -> Measure
     _check_covariances(values, covariances)
     wrapped = np.array(values, dtype=np.float64)
     wrapped[:, AZIMUTHS] = wrap_angle(wrapped[:, AZIMUTHS])
-    return MeasurementSet(wrapped, np.array(covariances, dtype=np.float64))
+    measured = np.isfinite(wrapped)
+    both = measured[:, :, None] & measured[:, None, :]
+    return MeasurementSet(wrapped, np.where(both, covariances, 0.0))
 
 
 def _check_values(values: FloatArray) -> None:
@@ -83,7 +88,7 @@ def _check_values(values: FloatArray) -> None:
 def _check_covariances(values: FloatArray, covariances: FloatArray) -> None:
     measured = np.isfinite(values)
     both = measured[:, :, None] & measured[:, None, :]
-    given = (covariances != 0.0).any(axis=(1, 2))
+    given = (both & (covariances != 0.0)).any(axis=(1, 2))
     used = np.where(both, covariances, np.eye(DIM))
     finite = np.isfinite(used).all(axis=(1, 2))
     if not finite.all():
@@ -99,6 +104,16 @@ def _check_covariances(values: FloatArray, covariances: FloatArray) -> None:
         raise InvalidMeasurements(
             "covariance_not_symmetric",
             f"covariance of path {int(np.argmin(symmetric))} is not symmetric",
+        )
+    variance = np.diagonal(used, axis1=1, axis2=2)[given]
+    sane = (variance > LEAST_VARIANCE) & (variance < MOST_VARIANCE)
+    odd = ((variance > 0.0) & ~sane).any(axis=1)
+    if odd.any():
+        path = np.flatnonzero(given)[int(np.argmax(odd))]
+        raise InvalidMeasurements(
+            "covariance_implausible",
+            f"covariance of path {path} has variances outside {LEAST_VARIANCE:g} .."
+            f" {MOST_VARIANCE:g}: give what the estimator really achieves",
         )
     smallest = np.array([_smallest_correlation(matrix) for matrix in used[given]])
     if (smallest <= 1e-9).any():

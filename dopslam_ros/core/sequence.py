@@ -22,6 +22,8 @@ Item = TypeVar("Item")
 
 # Snapshots that wait for controls; more than this many and the oldest is released as it is.
 MOST_PENDING = 1000
+# A stamp further ahead of the one before [ns] is believed when the next one confirms it.
+LARGEST_JUMP_NS = 60 * 1_000_000_000
 # Plausible controls [m/s], [rad/s].
 FASTEST = 1e4
 FASTEST_TURN = 1e3
@@ -60,7 +62,8 @@ class Sequencer(Generic[Item]):
         self._items: list[Item] = []
         self._control_stamps: list[int] = []
         self._controls: list[Control] = []
-        self._newest_ns: int | None = None
+        self._item_clock = _StampClock()
+        self._control_clock = _StampClock()
         self._last_ns: int | None = None
 
     @property
@@ -72,7 +75,7 @@ class Sequencer(Generic[Item]):
         """A control, valid from its stamp until the next.
 
         Raises:
-            Refused: not a plausible number, or not newer than the control before.
+            Refused: not a plausible number, not newer than the control before, or far ahead.
         """
         plausible = abs(speed) <= FASTEST and abs(turn_rate) <= FASTEST_TURN
         if not (math.isfinite(speed) and math.isfinite(turn_rate) and plausible):
@@ -81,12 +84,7 @@ class Sequencer(Generic[Item]):
                 f"control (speed {speed:g} m/s, turn rate {turn_rate:g} rad/s) is not usable:"
                 " linear.x and angular.z must be finite",
             )
-        if self._control_stamps and stamp_ns <= self._control_stamps[-1]:
-            raise Refused(
-                "backward_control",
-                f"control at {_seconds(stamp_ns)} is not newer than the one at"
-                f" {_seconds(self._control_stamps[-1])}: stamps must increase",
-            )
+        self._control_clock.accept(stamp_ns, "backward_control", "backward_control")
         self._control_stamps.append(stamp_ns)
         self._controls.append(Control(speed, turn_rate))
 
@@ -94,15 +92,9 @@ class Sequencer(Generic[Item]):
         """An item to release in its turn.
 
         Raises:
-            Refused: its time is not later than that of the one added before.
+            Refused: its time is not later than that of the one added before, or far ahead of it.
         """
-        if self._newest_ns is not None and stamp_ns <= self._newest_ns:
-            raise Refused(
-                "duplicate_stamp" if stamp_ns == self._newest_ns else "backward_time",
-                f"stamp {_seconds(stamp_ns)} is not later than that of the one before,"
-                f" {_seconds(self._newest_ns)}: stamps must increase",
-            )
-        self._newest_ns = stamp_ns
+        self._item_clock.accept(stamp_ns, "backward_time", "duplicate_stamp")
         self._stamps.append(stamp_ns)
         self._items.append(item)
 
@@ -142,6 +134,34 @@ class Sequencer(Generic[Item]):
             ControlSpan(control, (after - ahead) * 1e-9)
             for control, ahead, after in zip(controls, edges, edges[1:], strict=False)
         )
+
+
+class _StampClock:
+    """Stamps of one topic must increase; a single one from far ahead must not lock out the rest."""
+
+    def __init__(self) -> None:
+        self._newest_ns: int | None = None
+        self._suspect_ns: int | None = None
+
+    def accept(self, stamp_ns: int, backward: str, duplicate: str) -> None:
+        """Takes a stamp or raises Refused, with one of the two reasons or ``jump_ahead``."""
+        newest, suspect = self._newest_ns, self._suspect_ns
+        if newest is not None and stamp_ns <= newest:
+            raise Refused(
+                duplicate if stamp_ns == newest else backward,
+                f"stamp {_seconds(stamp_ns)} is not later than that of the one before,"
+                f" {_seconds(newest)}: stamps must increase",
+            )
+        if newest is not None and stamp_ns - newest > LARGEST_JUMP_NS:
+            confirmed = suspect is not None and 0 < stamp_ns - suspect <= LARGEST_JUMP_NS
+            if not confirmed:
+                self._suspect_ns = stamp_ns
+                raise Refused(
+                    "jump_ahead",
+                    f"stamp {_seconds(stamp_ns)} is more than {_seconds(LARGEST_JUMP_NS)} ahead of"
+                    f" {_seconds(newest)}: believed when the next one confirms it",
+                )
+        self._newest_ns, self._suspect_ns = stamp_ns, None
 
 
 _UNKNOWN = Control(0.0, 0.0)

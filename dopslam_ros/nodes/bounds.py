@@ -73,13 +73,16 @@ class BoundsNode(DopslamNode):
         self._evaluate()
 
     def _on_map(self, message: Any) -> None:
-        self._maps[stamp_ns(message.header)] = read_map(message)
-        self._evaluate()
+        if self._source != "truth":
+            self._maps[stamp_ns(message.header)] = read_map(message)
+            self._evaluate()
 
     def _on_state(self, source: str, message: Any) -> None:
         if self._source == "auto":
             # Decided once, at the first state: a truth that somebody publishes is preferred.
             self._source = "truth" if self.count_publishers(topics.TRUTH_UE.name) else "estimate"
+            if self._source == "truth":
+                self._maps.clear()
             self.get_logger().info(f"evaluating the bounds at the {self._source}")
         if source == self._source:
             self._states[stamp_ns(message.header)], _ = read_ue_state(message)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.duration import Duration
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 from dopslam_ros import topics
@@ -64,15 +65,11 @@ class PlayerNode(DopslamNode):
             raise StartError(str(error)) from error
         if self._reader.damage:
             self.get_logger().warning(self._reader.damage)
-        self._players = {
-            name: self.create_publisher(
-                middleware_class(info.type_name),
-                name,
-                _offer(info),
-            )
-            for name, info in self._reader.topics.items()
-            if self._wanted(name)
-        }
+        left_out = set() if p.outputs else topics.output_names(self._reader.topics)
+        self._players: dict[str, Publisher] = {}
+        for name, info in self._reader.topics.items():
+            if name not in left_out:
+                self._add(name, info)
         if not self._players:
             raise StartError(f"bag '{p.bag}' has none of the topics to play")
         self._messages = self._reader.messages(self._players)
@@ -88,12 +85,15 @@ class PlayerNode(DopslamNode):
         )
         self.start_when_joined(p.wait_for_nodes, self._players.values(), self._start)
 
-    def _wanted(self, name: str) -> bool:
-        outputs = (*topics.OUTPUTS, topics.DIAGNOSTICS)
-        is_output = any(name.endswith("/" + topic.name.lstrip("/")) for topic in outputs)
-        # truth/landmarks ends like landmarks, but it is an input.
-        is_output = is_output and not any(name.endswith("/" + t.name) for t in topics.INPUTS)
-        return self._settings.outputs or not is_output
+    def _add(self, name: str, info: TopicInfo) -> None:
+        try:
+            message_type = middleware_class(info.type_name)
+        except (ImportError, AttributeError, ValueError):
+            self.get_logger().warning(
+                f"{name} is not played: its type {info.type_name} is not installed"
+            )
+            return
+        self._players[name] = self.create_publisher(message_type, name, _offer(info))
 
     def parameters_changed(self, parameters: Any) -> None:
         self._settings = parameters

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rclpy.exceptions import NameValidationException
 from rclpy.qos import QoSProfile
 
 from dopslam_ros import topics
@@ -15,7 +16,9 @@ from dopslam_ros.bag import BagError, BagWriter
 from dopslam_ros.bag.qos import from_profile
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.nodes.runtime import (
+    STEADY,
     DopslamNode,
+    RCLError,
     StartError,
     middleware_class,
     names,
@@ -44,6 +47,7 @@ class RecorderNode(DopslamNode):
     def __init__(self, **options: Any) -> None:
         super().__init__("recorder", **options)
         p = self.parameters_of(RecorderParameters)
+        self._extra = [self._topic(name) for name in names(p.extra_topics)]
         path = Path(p.bag or f"rosbag2_{datetime.now():%Y_%m_%d-%H_%M_%S}")
         try:
             self._bag = BagWriter(path, fsync_seconds=5.0)
@@ -52,15 +56,22 @@ class RecorderNode(DopslamNode):
         self._written = 0
         self._subscribed: set[str] = set()
         self._known: set[str] = set()
-        self._extra = [self.resolve_topic_name(name) for name in names(p.extra_topics)]
         # The controls last: see DopslamNode.joined.
         for topic in sorted(topics.RECORDED, key=lambda t: t == topics.ODOMETRY_CONTROL):
             name = self.resolve_topic_name(topic.name)
             self._record(name, topic.type_name, reading_profile(topic))
-        self.create_timer(FLUSH_PERIOD, self._flush)
+        self.create_timer(FLUSH_PERIOD, self._flush, clock=STEADY)
         if self._extra:
-            self.create_timer(DISCOVERY_PERIOD, self._discover)
+            self.create_timer(DISCOVERY_PERIOD, self._discover, clock=STEADY)
         self.get_logger().info(f"ready: recording into {path}")
+
+    def _topic(self, name: str) -> str:
+        try:
+            return self.resolve_topic_name(name)
+        except (NameValidationException, RCLError) as error:
+            raise StartError(
+                f"parameter 'extra_topics': '{name}' is no name of a topic: {error}"
+            ) from error
 
     def _record(self, name: str, type_name: str, qos: QoSProfile) -> None:
         self._subscribed.add(name)

@@ -23,9 +23,11 @@ from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
+    NameValidationException,
     ParameterException,
 )
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -50,6 +52,7 @@ P = TypeVar("P")
 DIAGNOSTICS_PERIOD = 1.0
 # How often a kind of trouble is written to the log at most [s].
 LOG_PERIOD = 5.0
+RCLError = rclpy_implementation.RCLError
 JOIN_PERIOD = 0.2
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 # Messages that wait for a subscriber that is busy.
@@ -119,7 +122,7 @@ class DopslamNode(Node):
         self._parameter_sets: list[Any] = []
         self._logged: dict[str, int] = {}
         self._diagnostics = self.output(topics.DIAGNOSTICS)
-        self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics)
+        self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=STEADY)
         self.add_on_set_parameters_callback(self._check_change)
 
     # --- parameters
@@ -221,17 +224,19 @@ class DopslamNode(Node):
         """Which of the named nodes of this namespace do not get our messages yet.
 
         All nodes of this package subscribe to the controls, and to them last. Once one is there and
-        every subscription discovered is matched, nothing that is published is lost to it.
+        its subscriptions are matched, nothing that is published is lost to it.
         """
-        present = {
-            info.node_name
-            for info in self.get_subscriptions_info_by_topic(
-                self.resolve_topic_name(topics.ODOMETRY_CONTROL.name)
-            )
-            if info.node_namespace == self.get_namespace()
-        }
+
+        def subscribers(topic: str) -> list[str]:
+            return [
+                info.node_name
+                for info in self.get_subscriptions_info_by_topic(topic)
+                if info.node_namespace == self.get_namespace() and info.node_name in names
+            ]
+
+        present = subscribers(self.resolve_topic_name(topics.ODOMETRY_CONTROL.name))
         matched = all(
-            p.get_subscription_count() >= self.count_subscribers(p.topic_name) for p in publishers
+            p.get_subscription_count() >= len(subscribers(p.topic_name)) for p in publishers
         )
         return [name for name in names if name not in present or not matched]
 
@@ -314,10 +319,20 @@ def run(create: Callable[[], DopslamNode], arguments: Sequence[str] | None = Non
     Own signal handlers only set a flag, so that Ctrl-C meets the node between two callbacks and
     everything is closed in order.
     """
-    rclpy.init(
-        args=list(arguments) if arguments is not None else sys.argv,
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
+    try:
+        rclpy.init(
+            args=list(arguments) if arguments is not None else sys.argv,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        return _spin(create)
+    except (StartError, ParameterException, NameValidationException, RCLError) as error:
+        print("error:", " ".join(str(error).split()), file=sys.stderr)
+        return 2
+    finally:
+        rclpy.try_shutdown()
+
+
+def _spin(create: Callable[[], DopslamNode]) -> int:
     stop = False
     executor = SingleThreadedExecutor()
 
@@ -328,7 +343,6 @@ def run(create: Callable[[], DopslamNode], arguments: Sequence[str] | None = Non
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, ask_to_stop)
-    code = 0
     node: DopslamNode | None = None
     try:
         node = create()
@@ -337,9 +351,6 @@ def run(create: Callable[[], DopslamNode], arguments: Sequence[str] | None = Non
             executor.spin_once(timeout_sec=0.2)
     except ExternalShutdownException:
         pass
-    except (StartError, ParameterException) as error:
-        print("error:", " ".join(str(error).split()), file=sys.stderr)
-        code = 2
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
@@ -348,8 +359,7 @@ def run(create: Callable[[], DopslamNode], arguments: Sequence[str] | None = Non
             executor.remove_node(node)
             node.destroy_node()
         executor.shutdown()
-        rclpy.try_shutdown()
-    return code
+    return 0
 
 
 def _descriptor(declared: Declaration) -> ParameterDescriptor:
@@ -384,8 +394,12 @@ def _bad_start_value(declared: Declaration, given: Any, error: Exception) -> str
             declared.check(given.value)
         except ParameterError as reason:
             return str(reason)
-        if isinstance(given.value, int) and isinstance(declared.default, float):
-            return f"parameter '{declared.name}' = {given.value}: write {given.value}.0"
+        value = given.value
+        if isinstance(value, int) and isinstance(declared.default, float):
+            return f"parameter '{declared.name}' = {value}: write {value}.0"
+        if isinstance(value, Sequence) and all(isinstance(item, int) for item in value):
+            decimal = [float(item) for item in value]
+            return f"parameter '{declared.name}' = {list(value)}: write {decimal}"
     return f"parameter '{declared.name}': {error}"
 
 

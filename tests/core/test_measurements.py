@@ -189,3 +189,20 @@ def test_too_many_paths_are_refused() -> None:
     with pytest.raises(InvalidMeasurements) as caught:
         checked_measurements(np.ones((count, DIM)), zeros(count))
     assert caught.value.reason == "too_many_paths" and str(count) in str(caught.value)
+
+
+def test_a_covariance_of_what_was_not_measured_is_ignored() -> None:
+    """Only the part over measured components counts; none there leaves it to the filter."""
+    values, given = GOOD.copy(), np.zeros((len(GOOD), 6, 6))
+    values[0, 5] = math.nan
+    given[0, 5, 5] = 1.0
+    assert not checked_measurements(values, given).covariances.any()
+
+
+@pytest.mark.parametrize("variance", [1e-300, 1e300])
+def test_a_covariance_beyond_all_receivers(variance: float) -> None:
+    """It would be positive definite, and spoil the arithmetic all the same."""
+    given = np.tile(variance * np.eye(6), (len(GOOD), 1, 1))
+    with pytest.raises(InvalidMeasurements) as caught:
+        checked_measurements(GOOD, given)
+    assert caught.value.reason == "covariance_implausible"

@@ -194,3 +194,20 @@ def test_old_controls_are_forgotten() -> None:
         sequencer.add_control(second * SECOND, 1.0, 0.0)
         assert len(_added(sequencer, second * SECOND, "x")) == 1
     assert len(sequencer._controls) < 5
+
+
+def test_a_stamp_far_ahead_does_not_lock_out_the_rest() -> None:
+    """A single jump is refused; a jump that the next stamp confirms is believed."""
+    sequencer: Sequencer[str] = Sequencer(1.0)
+    far = 10**9 * SECOND
+    sequencer.add_control(1 * SECOND, 1.0, 0.0)
+    sequencer.add(1 * SECOND, "first")
+    assert reason_of(sequencer.add_control, far, 9.0, 0.0)[0] == "jump_ahead"
+    assert reason_of(sequencer.add, far, "glitch")[0] == "jump_ahead"
+    sequencer.add_control(2 * SECOND, 2.0, 0.0)
+    sequencer.add(2 * SECOND, "second")
+    assert reason_of(sequencer.add, 500 * SECOND, "after a long stop")[0] == "jump_ahead"
+    sequencer.add(501 * SECOND, "third")
+    released = list(sequencer.flush())
+    assert [timed.item for timed in released] == ["first", "second", "third"]
+    assert released[1].control == Control(2.0, 0.0)

@@ -351,8 +351,8 @@ def test_a_control_that_never_comes(bench: Bench, clean: tuple[list[bytes], list
     assert bench.counted() == {"missing_control": missing}
     ours = bench.heard.bytes(topics.UE_STATE)
     assert ours[:PLACE] == clean[0][:PLACE]
-    bench.send(CONTROLS, control(100 * SECOND, 1.0, 0.0))
-    bench.send(SETS, changed(bench.sets[0], SETS, stamped(100, 0)))
+    bench.send(CONTROLS, control(50 * SECOND, 1.0, 0.0))
+    bench.send(SETS, changed(bench.sets[0], SETS, stamped(50, 0)))
     bench.ros.spin_until(lambda: bench.heard.count(topics.UE_STATE) == len(bench.sets) + 1)
 
 

@@ -177,9 +177,22 @@ def test_the_rest_of_a_cut_bag_is_played(
 def test_nothing_to_play(ros: Ros, tmp_path: Path) -> None:
     """A bag without topics that can be played is refused at the start."""
     with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic("/ue_state", topics.UE_STATE.type_name)
+        writer.add_topic("/diagnostics", topics.DIAGNOSTICS.type_name)
     with pytest.raises(StartError, match="none of the topics to play"):
         ros.start(PlayerNode, bag=str(tmp_path / "bag"))
+
+
+def test_topics_of_others_are_played(ros: Ros, tmp_path: Path) -> None:
+    """What ends like one of our outputs but belongs to somebody else is no output of ours."""
+    names = ("/car/channel_measurements", "/car/odometry", "/wheel/odometry", "/strange")
+    types = (topics.CHANNEL_MEASUREMENTS, topics.ODOMETRY, topics.ODOMETRY)
+    with BagWriter(tmp_path / "bag") as writer:
+        for name, topic in zip(names, types, strict=False):
+            writer.add_topic(name, topic.type_name)
+        writer.add_topic("/strange", "no_such_msgs/msg/Thing", definition="", type_hash="")
+    player = ros.start(PlayerNode, bag=str(tmp_path / "bag"), pause_at_end=True)
+    published = {name for name, _ in player.get_publisher_names_and_types_by_node("player", "/")}
+    assert set(names) & published == {"/car/channel_measurements", "/wheel/odometry"}
 
 
 def test_what_it_offers_is_what_was_offered(ros: Ros, live: LiveRun) -> None:

@@ -105,7 +105,7 @@ def test_extra_topics_are_found(ros: Ros, tmp_path: Path) -> None:
     publisher = ros.node("car").create_publisher(Float64, "speed", 10)
     ros.spin_until(lambda: publisher.get_subscription_count() == 1)
     publisher.publish(Float64(data=3.5))
-    ros.spin_until(lambda: dict(recorder.health()[2])["messages_written"] >= 1)
+    ros.spin_until(lambda: dict(recorder.health()[2])["topics"] >= 2)
     ros.remove(recorder)
     info = BagReader(tmp_path / "bag").topics["/speed"]
     assert (info.type_name, info.message_count) == ("std_msgs/msg/Float64", 1)
@@ -124,7 +124,7 @@ def test_garbage_is_recorded_as_it_is(
     )
     ros.spin_until(lambda: publisher.get_subscription_count() == 1)
     publisher.publish(b"\0\1\0\0rubbish!")
-    ros.spin_until(lambda: dict(recorder.health()[2])["messages_written"] >= 1)
+    ros.spin_until(lambda: dict(recorder.health()[2])["topics"] >= 2)
     ros.remove(recorder)
     assert bag_payloads(tmp_path / "bag", topic) == [b"\0\1\0\0rubbish!"]
 
