@@ -12,6 +12,7 @@ import yaml
 from dopslam_ros import topics
 from dopslam_ros.bag import BagMessage, BagReader, BagWriter, deserialize, message_class, serialize
 from dopslam_ros.core.arrays import FloatArray
+from dopslam_ros.core.bounds import Bounds
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.evaluation import StepRecord, judge_step
 from dopslam_ros.core.filter import FilterParameters
@@ -86,13 +87,10 @@ class Replay:
             for output in self.outputs
         ]
 
-    def _bound_at(self, stamp: int) -> Any:
+    def _bound_at(self, stamp: int) -> Bounds | None:
+        """With the components that the filter used: without Doppler if it used none."""
         bound = self.bounds.get(stamp)
-        if bound is None:
-            return None
-        # A filter without Doppler is to be compared with the bound without.
-        doppler = self.parameters.used_components[-1]
-        return bound.with_doppler if doppler else bound.without_doppler
+        return None if bound is None else bound.with_doppler
 
 
 def replay(
@@ -249,11 +247,12 @@ class _Run:
 
 def _prefix(reader: BagReader) -> str:
     """The namespace that the topics were recorded in, with a slash at its end."""
-    ending = "/" + topics.CHANNEL_MEASUREMENTS.name
-    found = sorted(name for name in reader.topics if name.endswith(ending))
+    prefixes = topics.vehicle_prefixes(reader.topics)
+    name = topics.CHANNEL_MEASUREMENTS.name
+    found = [prefix + name for prefix in prefixes]
     if not found:
         have = ", ".join(sorted(reader.topics)) or "none"
-        raise ReplayError(f"bag '{reader.path}' has no topic ...{ending}; its topics: {have}")
+        raise ReplayError(f"bag '{reader.path}' has no topic .../{name}; its topics: {have}")
     if len(found) > 1:
         raise ReplayError(
             f"bag '{reader.path}' has several vehicles ({', '.join(found)}): record one per bag"
@@ -264,7 +263,7 @@ def _prefix(reader: BagReader) -> str:
             f"topic {found[0]} of '{reader.path}' has type {reader.topics[found[0]].type_name},"
             f" not {expected}"
         )
-    return found[0].removesuffix(topics.CHANNEL_MEASUREMENTS.name)
+    return prefixes[0]
 
 
 def _recorded_settings(reader: BagReader, prefix: str) -> dict[str, Any]:
@@ -284,12 +283,6 @@ def _recorded_settings(reader: BagReader, prefix: str) -> dict[str, Any]:
 def _announce(reader: BagReader, writer: BagWriter, prefix: str) -> None:
     for name, info in reader.topics.items():
         if name in {prefix + topic.name for topic in topics.INPUTS}:
-            writer.add_topic(
-                name,
-                info.type_name,
-                qos=info.qos,
-                definition=info.definition,
-                type_hash=info.type_hash,
-            )
+            writer.copy_topic(name, info)
     for topic in topics.OUTPUTS:
         writer.add_topic(prefix + topic.name, topic.type_name, qos=[topic.qos])

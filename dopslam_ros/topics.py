@@ -64,14 +64,16 @@ OUTPUTS = (
 )
 
 
-def output_names(recorded: Iterable[str]) -> set[str]:
-    """Those of the topics recorded that the filter and the bounds of some vehicle had published.
-
-    A vehicle's namespace is where its measurement sets are.
-    """
-    names = set(recorded)
+def vehicle_prefixes(recorded: Iterable[str]) -> list[str]:
+    """The namespaces, with a slash at their ends, that measurement sets were recorded in."""
     ending = "/" + CHANNEL_MEASUREMENTS.name
-    prefixes = [n.removesuffix(CHANNEL_MEASUREMENTS.name) for n in names if n.endswith(ending)]
+    found = sorted(name for name in recorded if name.endswith(ending))
+    return [name.removesuffix(CHANNEL_MEASUREMENTS.name) for name in found]
+
+
+def output_names(recorded: Iterable[str]) -> set[str]:
+    """Those of the topics recorded that the filter and the bounds of some vehicle had published."""
+    prefixes = vehicle_prefixes(recorded)
     return {DIAGNOSTICS.name} | {prefix + t.name for prefix in prefixes for t in OUTPUTS}
 
 

@@ -26,13 +26,7 @@ def repair(source: Path, target: Path) -> BagReader:
     reader = BagReader(source)
     with BagWriter(target, chunk_bytes=2**20, flush_seconds=None) as writer:
         for topic, info in reader.topics.items():
-            writer.add_topic(
-                topic,
-                info.type_name,
-                qos=info.qos,
-                definition=info.definition,
-                type_hash=info.type_hash,
-            )
+            writer.copy_topic(topic, info)
         for message in reader.messages():
             writer.write(
                 message.topic, message.payload, message.log_time_ns, message.publish_time_ns

@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, Writer
 from dopslam_ros.bag import metadata
 from dopslam_ros.bag.errors import BagExistsError, BagWriteError
 from dopslam_ros.bag.qos import OfferedQos, to_yaml
+from dopslam_ros.bag.reader import TopicInfo
 from dopslam_ros.bag.typestore import definition as definition_of
 from dopslam_ros.bag.typestore import type_hash as type_hash_of
 
@@ -117,6 +118,16 @@ class BagWriter:
                 f"topic '{topic}' of '{self.path}' has type {known.type_name} and cannot have "
                 f"{type_name} as well: record one of the two under another name"
             )
+
+    def copy_topic(self, topic: str, info: TopicInfo) -> None:
+        """Announce a topic as it is described in another bag; see ``add_topic``."""
+        self.add_topic(
+            topic,
+            info.type_name,
+            qos=info.qos,
+            definition=info.definition,
+            type_hash=info.type_hash,
+        )
 
     def write(
         self, topic: str, payload: bytes, log_time_ns: int, publish_time_ns: int | None = None

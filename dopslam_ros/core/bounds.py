@@ -11,7 +11,7 @@ import numpy as np
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
 from dopslam_ros.core.channel import DIM, DOPPLER, Paths
 from dopslam_ros.core.model import ModelParameters
-from dopslam_ros.core.motion import ControlSpan, propagate_spans
+from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
 
 # Standard deviation of a landmark before its first path [m]: no information, but invertible.
 DIFFUSE_STD = 1e4
@@ -81,11 +81,7 @@ def predict_bound(
         noise_rate: (4,) variance added per second.
     """
     _, jacobian, noise = propagate_spans(ue, spans, noise_rate)
-    covariance = np.array(state.covariance)
-    covariance[:4] = jacobian @ covariance[:4]
-    covariance[:, :4] = covariance[:, :4] @ jacobian.T
-    covariance[:4, :4] += noise
-    return BoundState(symmetrise(covariance), state.ids)
+    return BoundState(predict_covariance(state.covariance, jacobian, noise), state.ids)
 
 
 def update_bound(

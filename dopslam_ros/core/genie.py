@@ -23,7 +23,7 @@ from dopslam_ros.core.filter.state import (
     initial_filter_state,
 )
 from dopslam_ros.core.measurements import MeasurementSet
-from dopslam_ros.core.motion import ControlSpan, propagate_spans
+from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
 from dopslam_ros.core.simulator import CLUTTER
 
 ITERATIONS = 5
@@ -74,11 +74,8 @@ def genie_step(
         parameters: models.
     """
     ue, jacobian, noise = propagate_spans(state.mean[:UE], spans, parameters.noise_rate)
-    mean, covariance = state.mean.copy(), state.covariance.copy()
-    mean[:UE] = ue
-    covariance[:UE] = jacobian @ covariance[:UE]
-    covariance[:, :UE] = covariance[:, :UE] @ jacobian.T
-    covariance[:UE, :UE] += noise
+    mean = np.concatenate([ue, state.mean[UE:]])
+    covariance = predict_covariance(state.covariance, jacobian, noise)
     real = sources != CLUTTER
     observed = prepare(
         MeasurementSet(measurements.values[real], measurements.covariances[real]), parameters

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, wrap_angle
+from dopslam_ros.core.arrays import FloatArray, symmetrise, wrap_angle
 
 
 class Control(NamedTuple):
@@ -82,3 +82,23 @@ def propagate_spans(
         jacobian = step @ jacobian
         state = propagate(state, control, duration)
     return state, jacobian, noise
+
+
+def predict_covariance(
+    covariance: FloatArray, jacobian: FloatArray, noise: FloatArray
+) -> FloatArray:
+    """Covariance of [s; x_1 ...] after the vehicle has moved: F P F' + Q, the map is static.
+
+    Args:
+        covariance: (n, n) before, the vehicle first.
+        jacobian: (4, 4) F of the motion.
+        noise: (4, 4) Q of the motion.
+
+    Returns:
+        (n, n).
+    """
+    after = np.array(covariance)
+    after[:4] = jacobian @ after[:4]
+    after[:, :4] = after[:, :4] @ jacobian.T
+    after[:4, :4] += noise
+    return symmetrise(after)

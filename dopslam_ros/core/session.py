@@ -249,8 +249,7 @@ class BoundsSession:
             ue = np.append(world.ue[:2], model.ue_height)
             chance = detection_probabilities(model, ue, positions, types) * paths.facing
         else:
-            bs_listed = world.types == LandmarkType.BS
-            bs_detected = world.detected[bs_listed].any()
+            bs_detected = world.detected[~listed].any()
             chance = np.concatenate([[bs_detected], world.detected[listed]]).astype(np.float64)
 
         results = []

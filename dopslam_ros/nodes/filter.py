@@ -37,9 +37,9 @@ class FilterNode(DopslamNode):
         super().__init__("filter", **options)
         p = self.parameters_of(FilterNodeParameters)
         self._session = FilterSession(p)
-        self._frames = Frames(p.map_frame, p.base_frame)
+        frames = Frames(p.map_frame, p.base_frame)
         self._messages = FilterMessages(
-            message_class, np.array(p.bs_position), p.ue_height, self._frames, p.path_poses
+            message_class, np.array(p.bs_position), p.ue_height, frames, p.path_poses
         )
         self._outputs = {t.name: self.output(t) for t in topics.OUTPUTS if t != topics.BOUNDS}
         self._outputs[topics.FILTER_PARAMETERS.name].publish(

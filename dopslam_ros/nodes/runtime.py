@@ -41,7 +41,6 @@ from dopslam_ros.bag.qos import OfferedQos
 from dopslam_ros.core.parameters import (
     Declaration,
     ParameterError,
-    checked,
     declarations,
     from_mapping,
     to_mapping,
@@ -73,7 +72,7 @@ def middleware_class(type_name: str) -> Any:
 def qos_profile(offered: OfferedQos) -> QoSProfile:
     """rclpy's form of a quality of service."""
     # Discovery knows neither history nor depth of others: keep plenty.
-    depth = offered.depth or 1000
+    depth = offered.depth or READING_DEPTH
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
@@ -168,14 +167,12 @@ class DopslamNode(Node):
     def _check_change(self, changes: list[Parameter]) -> SetParametersResult:
         new = {change.name: change.value for change in changes}
         for number, current in enumerate(self._parameter_sets):
-            known = {d.name: d for d in declarations(type(current))}
+            known = {d.name for d in declarations(type(current))}
             mine = {name: value for name, value in new.items() if name in known}
             if not mine:
                 continue
             try:
-                for name, value in mine.items():
-                    mine[name] = known[name].check(value)
-                changed = checked(from_mapping(type(current), {**to_mapping(current), **mine}))
+                changed = from_mapping(type(current), {**to_mapping(current), **mine})
             except ParameterError as error:
                 return SetParametersResult(successful=False, reason=str(error))
             self._parameter_sets[number] = changed
@@ -262,7 +259,7 @@ class DopslamNode(Node):
             missing = self.joined(wanted, outputs)
             if missing:
                 self.get_logger().info(
-                    f"waiting for {', '.join(missing)}", throttle_duration_sec=5.0
+                    f"waiting for {', '.join(missing)}", throttle_duration_sec=LOG_PERIOD
                 )
                 return
             self.destroy_timer(timer)

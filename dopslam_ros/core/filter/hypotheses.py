@@ -92,11 +92,12 @@ def associate(
     """
     paths = weights.track.shape[1]
     gain = weights.track - weights.missed[:, None]
+    tracks = source_tracks(state)
     ranked = k_best_assignments(-gain.T, -weights.new, parameters.gamma)
     candidates = [
         (-cost + log_share, columns, sources)
         for columns, cost in zip(ranked.columns, ranked.costs, strict=True)
-        for log_share, sources in _type_splits(columns, weights, source_tracks(state))
+        for log_share, sources in _type_splits(columns, weights, tracks)
     ]
     candidates.sort(key=lambda candidate: -candidate[0])
     kept = candidates[: parameters.gamma]

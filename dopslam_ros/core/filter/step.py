@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, IntArray, symmetrise, wrap_angle
+from dopslam_ros.core.arrays import FloatArray, IntArray, wrap_angle
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import birth, evidence, hypotheses, update
 from dopslam_ros.core.filter.state import UE, UNKNOWN_TYPES, FilterParameters, FilterState
 from dopslam_ros.core.measurements import MeasurementSet
-from dopslam_ros.core.motion import ControlSpan, propagate_spans
+from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
 
 # Row 0 of the association problem is the BS, whose id is 0 as well.
 BS_ID = 0
@@ -87,12 +87,9 @@ def predict(
     if not spans:
         return state
     ue, jacobian, noise = propagate_spans(state.ue_mean, spans, parameters.noise_rate)
-    covariance = np.array(state.covariance)
-    covariance[:UE] = jacobian @ covariance[:UE]
-    covariance[:, :UE] = covariance[:, :UE] @ jacobian.T
-    covariance[:UE, :UE] += noise
     mean = np.concatenate([ue, state.mean[UE:]])
-    return replace(state, mean=mean, covariance=symmetrise(covariance))
+    covariance = predict_covariance(state.covariance, jacobian, noise)
+    return replace(state, mean=mean, covariance=covariance)
 
 
 def undetected_after_miss(state: FilterState, parameters: FilterParameters) -> FilterState:
