@@ -15,7 +15,7 @@ from dopslam_ros.core.filter import (
     Associations,
     FilterParameters,
     LandmarkEstimates,
-    initial_filter_state,
+    initial_mixture,
 )
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import Control
@@ -63,7 +63,7 @@ def output(estimates: LandmarkEstimates, stamp: int = 10**9) -> FilterOutput:
     nothing = np.zeros(0, dtype=np.int64)
     return FilterOutput(
         stamp_ns=stamp,
-        state=initial_filter_state(FilterParameters()),
+        state=initial_mixture(FilterParameters()),
         landmarks=estimates,
         control=Control(3.0, -0.5),
         associations=Associations(nothing.reshape(0, 0), np.zeros(0), nothing),
@@ -185,7 +185,7 @@ def test_the_path_is_bounded() -> None:
 def test_the_pose_points_where_the_vehicle_does(heading: float) -> None:
     """The quaternion of each heading: half the angle about z, of length one."""
     messages, said_ = make(), output(landmarks())
-    said_.state.mean[2] = heading
+    said_.state.best.mean[2] = heading
     found = dict((t.name, m) for t, m in messages.of(said_))
     pose = found[topics.UE_POSE.name].pose.pose
     q = pose.orientation

@@ -25,11 +25,11 @@ from dopslam_ros.core.channel import DOPPLER, LandmarkType, observe
 from dopslam_ros.core.filter import (
     Associations,
     FilterParameters,
-    FilterState,
     LandmarkEstimates,
-    initial_filter_state,
-    reported_landmarks,
-    step,
+    Mixture,
+    initial_mixture,
+    landmarks_of,
+    mixture_step,
 )
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import OnlineParameters, detection_probabilities, with_doppler_std
@@ -52,7 +52,7 @@ class FilterOutput:
     """
 
     stamp_ns: int
-    state: FilterState
+    state: Mixture
     landmarks: LandmarkEstimates
     control: Control
     associations: Associations
@@ -70,11 +70,11 @@ class FilterSession:
         self.parameters = parameters
         self.problems: Counter[str] = Counter()
         self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters.control_wait)
-        self._state = initial_filter_state(parameters)
+        self._state = initial_mixture(parameters)
         self._owed: tuple[ControlSpan, ...] = ()
 
     @property
-    def state(self) -> FilterState:
+    def state(self) -> Mixture:
         """The density after the last snapshot processed."""
         return self._state
 
@@ -124,7 +124,7 @@ class FilterSession:
         # Owed until a step succeeds: whatever goes wrong below, the motion is not forgotten.
         self._owed = spans = self._owed + timed.spans
         try:
-            result = step(self._state, measurements, spans, control.speed, self.parameters)
+            result = mixture_step(self._state, measurements, spans, control.speed, self.parameters)
         except np.linalg.LinAlgError:
             result = None
         if result is None or not _sound(result.state):
@@ -135,15 +135,18 @@ class FilterSession:
         return FilterOutput(
             stamp_ns=timed.stamp_ns,
             state=result.state,
-            landmarks=reported_landmarks(result.state, self.parameters),
+            landmarks=landmarks_of(result.state, self.parameters),
             control=control,
             associations=result.associations,
             step_seconds=time.perf_counter() - started,
         )
 
 
-def _sound(state: FilterState) -> bool:
-    return bool(np.isfinite(state.mean).all() and np.isfinite(state.covariance).all())
+def _sound(state: Mixture) -> bool:
+    return all(
+        np.isfinite(one.mean).all() and np.isfinite(one.covariance).all()
+        for one in state.hypotheses
+    )
 
 
 def _without_doppler(measurements: MeasurementSet) -> MeasurementSet:

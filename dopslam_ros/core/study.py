@@ -61,7 +61,7 @@ def run_once(
     records = []
     for snapshot in simulate(scenario, run_generator(seed, run)):
         stamp, control = snapshot.stamp_ns, snapshot.control
-        known = filtering.state.track_id
+        known = filtering.state.track_ids
         detected = np.isin(np.arange(len(types)), snapshot.sources)
         world = WorldState(snapshot.state, np.arange(len(types)), types, positions, detected)
         list(bounding.add_control(stamp, control.speed, control.turn_rate))

@@ -13,7 +13,7 @@ import pytest
 from dopslam_ros.core import session as session_module
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import DIM, DOPPLER
-from dopslam_ros.core.filter import FilterParameters, initial_filter_state, step
+from dopslam_ros.core.filter import FilterParameters, initial_filter_state, mixture_step, step
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import with_doppler_std
 from dopslam_ros.core.motion import Control, ControlSpan
@@ -53,10 +53,10 @@ def drive(
 
 def bytes_of(outputs: list[FilterOutput]) -> list[bytes]:
     return [
-        o.state.mean.tobytes()
-        + o.state.covariance.tobytes()
-        + o.state.existence.tobytes()
-        + o.state.track_id.tobytes()
+        o.state.best.mean.tobytes()
+        + o.state.best.covariance.tobytes()
+        + o.state.best.existence.tobytes()
+        + o.state.best.track_id.tobytes()
         + o.landmarks.positions.tobytes()
         for o in outputs
     ]
@@ -71,7 +71,7 @@ def test_the_session_is_the_steps_one_after_the_other(snapshots: list[Snapshot])
         state = step(state, snapshot.measurements, spans, snapshot.control.speed, PARAMETERS).state
         previous = snapshot.control
         assert output.stamp_ns == snapshot.stamp_ns and output.control == snapshot.control
-        np.testing.assert_array_equal(output.state.mean, state.mean)
+        np.testing.assert_array_equal(output.state.best.mean, state.mean)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -91,7 +91,7 @@ def test_an_empty_set_is_processed_and_counted(snapshots: list[Snapshot]) -> Non
     assert list(filtering.add_control(10**9, 22.22, 0.3)) == []
     (first,) = filtering.add_measurements(10**9, empty)
     assert filtering.problems == {"empty_set": 1}
-    np.testing.assert_array_equal(first.state.mean, PARAMETERS.initial_state)
+    np.testing.assert_array_equal(first.state.best.mean, PARAMETERS.initial_state)
     list(filtering.add_control(2 * 10**9, 22.22, 0.3))
     (second,) = filtering.add_measurements(2 * 10**9, empty)
     assert np.hypot(*(second.state.ue_mean - first.state.ue_mean)[:2]) > 20.0
@@ -113,7 +113,7 @@ def test_a_missing_control_is_counted_and_the_set_used_without_doppler(
     values[:, DOPPLER] = math.nan
     silent = MeasurementSet(values, first.measurements.covariances)
     expected = step(initial_filter_state(PARAMETERS), silent, [], 0.0, PARAMETERS).state
-    np.testing.assert_array_equal(output.state.mean, expected.mean)
+    np.testing.assert_array_equal(output.state.best.mean, expected.mean)
     with_it = step(
         initial_filter_state(PARAMETERS), first.measurements, [], 22.22, PARAMETERS
     ).state
@@ -128,7 +128,7 @@ def test_a_path_of_doppler_alone_is_left_out_at_an_unknown_speed() -> None:
     list(filtering.add_measurements(10**9, MeasurementSet(values, np.zeros((2, DIM, DIM)))))
     (output,) = filtering.flush()
     assert output.associations.ids.shape[1] == 1
-    assert np.isfinite(output.state.mean).all()
+    assert np.isfinite(output.state.best.mean).all()
 
 
 def test_late_and_duplicate_sets_are_refused_and_leave_the_state(
@@ -157,13 +157,15 @@ def broken(kind: str) -> Failure:
     def fails(*arguments: Any) -> Any:
         if kind == "raises":
             raise np.linalg.LinAlgError("not positive definite")
-        outcome = step(*arguments)
-        mean, covariance = outcome.state.mean.copy(), outcome.state.covariance.copy()
+        outcome = mixture_step(*arguments)
+        best = outcome.state.best
+        mean, covariance = best.mean.copy(), best.covariance.copy()
         if kind == "nan mean":
             mean[1] = math.nan
         else:
             covariance[0, 1] = math.inf
-        return replace(outcome, state=replace(outcome.state, mean=mean, covariance=covariance))
+        broken_one = replace(best, mean=mean, covariance=covariance)
+        return replace(outcome, state=replace(outcome.state, hypotheses=(broken_one,)))
 
     return fails
 
@@ -182,7 +184,7 @@ def test_a_numerical_failure_keeps_the_last_good_state(
         assert len(list(feed(s))) == 1
     good = filtering.state
     with monkeypatch.context() as patch:
-        patch.setattr(session_module, "step", broken(kind))
+        patch.setattr(session_module, "mixture_step", broken(kind))
         assert list(feed(snapshots[3])) == []
         assert list(feed(snapshots[4])) == []
     assert filtering.state is good
@@ -190,14 +192,14 @@ def test_a_numerical_failure_keeps_the_last_good_state(
     # The next step makes up for all of the motion since.
     (output,) = feed(snapshots[5])
     spans = [ControlSpan(snapshots[k].control, SCENARIO.period) for k in (2, 3, 4)]
-    expected = step(good, snapshots[5].measurements, spans, 22.22, PARAMETERS).state
-    np.testing.assert_array_equal(output.state.mean, expected.mean)
+    expected = step(good.best, snapshots[5].measurements, spans, 22.22, PARAMETERS).state
+    np.testing.assert_array_equal(output.state.best.mean, expected.mean)
     assert filtering.problems["numerical_failure"] == 2
     # And the one after that starts from there again.
     (output,) = feed(snapshots[6])
     span = [ControlSpan(snapshots[5].control, SCENARIO.period)]
     after = step(expected, snapshots[6].measurements, span, 22.22, PARAMETERS).state
-    np.testing.assert_array_equal(output.state.mean, after.mean)
+    np.testing.assert_array_equal(output.state.best.mean, after.mean)
 
 
 def test_an_infinite_covariance_from_the_sensor_cannot_reach_the_state() -> None:
@@ -207,8 +209,8 @@ def test_an_infinite_covariance_from_the_sensor_cannot_reach_the_state() -> None
     list(filtering.add_control(10**9, 22.22, 0.3))
     for _ in filtering.add_measurements(10**9, MeasurementSet(values, huge)):
         pass
-    assert np.isfinite(filtering.state.mean).all()
-    assert np.isfinite(filtering.state.covariance).all()
+    assert np.isfinite(filtering.state.best.mean).all()
+    assert np.isfinite(filtering.state.best.covariance).all()
 
 
 @pytest.mark.parametrize("component", range(DIM))

@@ -1,5 +1,12 @@
-"""The EK-PMB SLAM filter of Ge et al. as pure functions over arrays."""
+"""The EK-PMB(M) SLAM filter of Ge et al. as pure functions over arrays."""
 
+from dopslam_ros.core.filter.mixture import (
+    Mixture,
+    MixtureStep,
+    initial_mixture,
+    landmarks_of,
+    mixture_step,
+)
 from dopslam_ros.core.filter.state import (
     FilterParameters,
     FilterState,
@@ -14,8 +21,13 @@ __all__ = [
     "FilterParameters",
     "FilterState",
     "LandmarkEstimates",
+    "Mixture",
+    "MixtureStep",
     "Step",
     "initial_filter_state",
+    "initial_mixture",
+    "landmarks_of",
+    "mixture_step",
     "reported_landmarks",
     "step",
 ]

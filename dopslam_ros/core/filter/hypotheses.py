@@ -50,11 +50,14 @@ class Hypotheses:
             or new).
         source: (H, J) the same by component: 0 the BS, c + 1 component c, or UNASSIGNED.
         weight: (H,) normalised.
+        log_evidence: ln of the sum of the weights before normalisation: how well the density of
+            which these are the continuations foresaw the set.
     """
 
     track: IntArray
     source: IntArray
     weight: FloatArray
+    log_evidence: float
 
 
 def local_weights(
@@ -102,10 +105,12 @@ def associate(
     candidates.sort(key=lambda candidate: -candidate[0])
     kept = candidates[: parameters.gamma]
     log_weight = np.array([candidate[0] for candidate in kept])
+    log_sum = float(logsumexp(log_weight))
     return Hypotheses(
         track=np.array([c[1] for c in kept], dtype=np.int64).reshape(len(kept), paths),
         source=np.array([c[2] for c in kept], dtype=np.int64).reshape(len(kept), paths),
-        weight=np.exp(log_weight - logsumexp(log_weight)),
+        weight=np.exp(log_weight - log_sum),
+        log_evidence=log_sum + float(weights.missed.sum()),
     )
 
 

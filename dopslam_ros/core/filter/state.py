@@ -27,6 +27,21 @@ class FilterParameters(OnlineParameters):
         " dropped as in the paper (marginal).",
         choices=("joint", "marginal"),
     )
+    density: str = parameter(
+        "pmb",
+        "Whether the associations of a step are merged into one density at once (pmb) or carried"
+        " on as global hypotheses (pmbm).",
+        choices=("pmb", "pmbm"),
+    )
+    hypotheses_kept: int = parameter(
+        10, "Number of global hypotheses carried on, with pmbm.", low=1, high=1000
+    )
+    prune_hypothesis: float = parameter(
+        1e-3,
+        "Global hypotheses less likely than this are dropped, with pmbm.",
+        low=0.0,
+        high=0.5,
+    )
     gate_probability: float = parameter(
         0.9999,
         "Probability that a path lies inside the gate of its landmark.",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, IntArray, wrap_angle
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, wrap_angle
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import birth, evidence, hypotheses, update
@@ -63,21 +63,94 @@ def step(
         speed: v at the snapshot [m/s].
         parameters: models and settings.
     """
-    predicted = predict(state, spans, parameters)
     observed = evidence.prepare(measurements, parameters)
+    ranked = rank(predict(state, spans, parameters), observed, speed, parameters)
+    conditioned = condition(ranked, ranked.born, observed, parameters)
+    merged = update.merge(
+        conditioned.augmented,
+        conditioned.means,
+        conditioned.covariances,
+        conditioned.outcomes,
+        ranked.hypotheses,
+        parameters,
+    )
+    return Step(state=finish(merged, parameters), associations=associations_of(ranked, conditioned))
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A density and how the paths may go with it.
+
+    Attributes:
+        predicted: the density the paths are weighed against.
+        evidence: of every source.
+        births: a candidate from every path.
+        weights: local weights.
+        hypotheses: the best associations.
+        born: (J,) births worth keeping.
+    """
+
+    predicted: FilterState
+    evidence: evidence.Evidence
+    births: birth.Births
+    weights: hypotheses.LocalWeights
+    hypotheses: hypotheses.Hypotheses
+    born: BoolArray
+
+
+@dataclass(frozen=True)
+class Conditioned:
+    """A density given each of its H associations.
+
+    Attributes:
+        augmented: with the births.
+        means: (H, n).
+        covariances: (H, n, n).
+        outcomes: existence and types.
+    """
+
+    augmented: update.Augmented
+    means: FloatArray
+    covariances: FloatArray
+    outcomes: update.Outcomes
+
+
+def rank(
+    predicted: FilterState,
+    observed: evidence.Observed,
+    speed: float,
+    parameters: FilterParameters,
+) -> Ranked:
+    """Weighs the paths against a predicted density and finds the best associations."""
     fit = evidence.weigh(predicted, observed, speed, parameters)
     births = birth.propose(predicted, observed, speed, parameters)
     weights = hypotheses.local_weights(predicted, observed, fit, births, parameters)
-    ranked = hypotheses.associate(predicted, weights, parameters)
-    augmented = update.augment(predicted, births, weights, ranked, parameters)
-    means, covariances = update.condition(augmented, observed, fit, ranked)
-    outcomes = update.judge(augmented, fit, ranked)
-    merged = update.merge(augmented, means, covariances, outcomes, ranked, parameters)
-    merged = undetected_after_miss(merged, parameters)
-    return Step(
-        state=_wrapped(update.prune(merged, parameters)),
-        associations=_associations(augmented, ranked),
+    best = hypotheses.associate(predicted, weights, parameters)
+    born = update.worth_keeping(births, weights, best, parameters)
+    return Ranked(predicted, fit, births, weights, best, born)
+
+
+def condition(
+    ranked: Ranked,
+    numbered: BoolArray,
+    observed: evidence.Observed,
+    parameters: FilterParameters,
+) -> Conditioned:
+    """Updates a density with each of its associations; ``numbered`` (J,) births get an id."""
+    augmented = update.augment(
+        ranked.predicted, ranked.births, ranked.weights, ranked.born, numbered, parameters
     )
+    means, covariances = update.condition(augmented, observed, ranked.evidence, ranked.hypotheses)
+    outcomes = update.judge(augmented, ranked.evidence, ranked.hypotheses)
+    return Conditioned(augmented, means, covariances, outcomes)
+
+
+def finish(state: FilterState, parameters: FilterParameters) -> FilterState:
+    """A posterior density made ready for the next step."""
+    pruned = update.prune(undetected_after_miss(state, parameters), parameters)
+    mean = pruned.mean.copy()
+    mean[2] = wrap_angle(mean[2])
+    return replace(pruned, mean=mean)
 
 
 def predict(
@@ -105,14 +178,11 @@ def undetected_after_miss(state: FilterState, parameters: FilterParameters) -> F
     return replace(state, undetected=np.where(always_seen, thinned, state.undetected))
 
 
-def _wrapped(state: FilterState) -> FilterState:
-    mean = state.mean.copy()
-    mean[2] = wrap_angle(mean[2])
-    return replace(state, mean=mean)
-
-
-def _associations(augmented: update.Augmented, ranked: hypotheses.Hypotheses) -> Associations:
+def associations_of(ranked: Ranked, conditioned: Conditioned) -> Associations:
+    """The associations in terms of landmark ids."""
+    augmented = conditioned.augmented
     ids = augmented.state.track_id
     row_ids = np.concatenate([[BS_ID], ids, [UNASSIGNED]])  # UNASSIGNED is the last one
     born = np.concatenate([ids, [UNASSIGNED]])[augmented.birth_track]
-    return Associations(ids=row_ids[ranked.track], weight=ranked.weight, born=born)
+    best = ranked.hypotheses
+    return Associations(ids=row_ids[best.track], weight=best.weight, born=born)

@@ -41,21 +41,42 @@ class Augmented:
     birth_track: IntArray
 
 
+def worth_keeping(
+    births: Births, weights: LocalWeights, hypotheses: Hypotheses, parameters: FilterParameters
+) -> BoolArray:
+    """(J,) whose landmark would not be pruned at once."""
+    not_taken = hypotheses.weight @ (hypotheses.track == UNASSIGNED)
+    return np.asarray(birth_existence(births, weights) * not_taken > parameters.prune_existence)
+
+
+def birth_existence(births: Births, weights: LocalWeights) -> FloatArray:
+    """(J,) r = rho / (c + rho), where the path is given to no landmark."""
+    log_rho = np.logaddexp(births.log_intensity[0], births.log_intensity[1])
+    return np.asarray(np.exp(log_rho - weights.new))
+
+
 def augment(
     state: FilterState,
     births: Births,
     weights: LocalWeights,
-    hypotheses: Hypotheses,
+    kept: BoolArray,
+    numbered: BoolArray,
     parameters: FilterParameters,
 ) -> Augmented:
-    """Appends the births worth keeping, each correlated with the vehicle as its fit says.
+    """Appends the births that are kept, each correlated with the vehicle as its fit says.
 
-    r = rho / (c + rho) under a hypothesis in which the path is not taken.
+    Args:
+        state: predicted.
+        births: candidates from J paths.
+        weights: local weights.
+        kept: (J,) births to append.
+        numbered: (J,) births that get an id, those kept among them: global hypotheses share ids.
+        parameters: pruning of types.
     """
-    not_taken = hypotheses.weight @ (hypotheses.track == UNASSIGNED)
+    existence = birth_existence(births, weights)
     log_rho = np.logaddexp(births.log_intensity[0], births.log_intensity[1])
-    existence = np.exp(log_rho - weights.new)
-    born = np.flatnonzero(existence * not_taken > parameters.prune_existence)
+    ids = state.next_id + np.cumsum(numbered) - 1
+    born = np.flatnonzero(kept)
     share = np.exp(births.log_intensity[:, born] - log_rho[born])
     share[share < parameters.prune_type] = 0.0
     share /= share.sum(axis=0)
@@ -77,9 +98,9 @@ def augment(
         component_track=np.concatenate([state.component_track, tracks + which]),
         component_type=np.concatenate([state.component_type, np.array(UNKNOWN_TYPES)[kind]]),
         component_weight=np.concatenate([state.component_weight, share[kind, which]]),
-        track_id=np.concatenate([state.track_id, state.next_id + np.arange(len(born))]),
+        track_id=np.concatenate([state.track_id, ids[born]]),
         existence=np.concatenate([state.existence, existence[born]]),
-        next_id=state.next_id + len(born),
+        next_id=state.next_id + int(numbered.sum()),
     )
     return Augmented(augmented, birth_track)
 
@@ -187,6 +208,31 @@ def merge(
         existence=np.minimum(existence, 1.0),
     )
     return _uncoupled(merged) if parameters.coupling == "marginal" else merged
+
+
+def separate(
+    augmented: Augmented,
+    means: FloatArray,
+    covariances: FloatArray,
+    outcomes: Outcomes,
+    parameters: FilterParameters,
+) -> list[FilterState]:
+    """The density under each hypothesis, for a PMBM that carries them on."""
+    states = [
+        replace(
+            augmented.state,
+            mean=mean,
+            covariance=covariance,
+            component_weight=weight,
+            existence=existence,
+        )
+        for mean, covariance, weight, existence in zip(
+            means, covariances, outcomes.type_weight, outcomes.existence, strict=True
+        )
+    ]
+    if parameters.coupling == "marginal":
+        return [_uncoupled(state) for state in states]
+    return states
 
 
 def prune(state: FilterState, parameters: FilterParameters) -> FilterState:

@@ -23,6 +23,7 @@ from dopslam_ros.core.filter.update import (
     judge,
     merge,
     prune,
+    worth_keeping,
 )
 
 PARAMETERS = FilterParameters()
@@ -109,7 +110,7 @@ def test_condition_is_the_linear_kalman_filter(seed: int) -> None:
     used[:, 1] = True
     observed, fit = linear_problem(rng, state, used)
     source = [[0, 3, UNASSIGNED, 2], [UNASSIGNED, 4, 1, 3], [UNASSIGNED] * 4, [0, 1, 3, 4]]
-    ranked = Hypotheses(np.array(source), np.array(source), np.full(4, 0.25))
+    ranked = Hypotheses(np.array(source), np.array(source), np.full(4, 0.25), 0.0)
     means, covariances = condition(Augmented(state, np.full(4, UNASSIGNED)), observed, fit, ranked)
     for row, sources in enumerate(source):
         mean, covariance = kalman(state, observed, fit, sources)
@@ -127,7 +128,7 @@ def test_condition_with_one_hypothesis_only() -> None:
         Augmented(state, np.full(2, UNASSIGNED)),
         observed,
         fit,
-        Hypotheses(source, source, np.ones(1)),
+        Hypotheses(source, source, np.ones(1), 0.0),
     )
     mean, covariance = kalman(state, observed, fit, [1, 0])
     np.testing.assert_allclose(means[0], mean, rtol=1e-8)
@@ -144,7 +145,7 @@ def test_condition_without_any_assignment_is_the_prediction(paths: int) -> None:
         Augmented(state, np.full(paths, UNASSIGNED)),
         observed,
         fit,
-        Hypotheses(source, source, np.ones(1)),
+        Hypotheses(source, source, np.ones(1), 0.0),
     )
     np.testing.assert_allclose(means[0], state.mean, rtol=1e-12)
     np.testing.assert_allclose(covariances[0], state.covariance, rtol=1e-12)
@@ -160,7 +161,7 @@ def mixture(
     weight = rng.dirichlet(np.ones(hypotheses))
     none = np.full((hypotheses, 0), UNASSIGNED)
     augmented = Augmented(state, np.zeros(0, dtype=np.int64))
-    return augmented, means, covariances, Hypotheses(none, none, weight)
+    return augmented, means, covariances, Hypotheses(none, none, weight, 0.0)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -249,7 +250,7 @@ def test_judge_follows_bayes() -> None:
     outcomes = judge(
         Augmented(state, np.full(2, UNASSIGNED)),
         fit,
-        Hypotheses(track, source, np.full(3, 1 / 3)),
+        Hypotheses(track, source, np.full(3, 1 / 3), 0.0),
     )
     q = 0.7 * 0.1 + 0.3 * 0.5
     missed = np.array([0.6 * q / (0.4 + 0.6 * q), 0.9 * 0.2 / (0.1 + 0.9 * 0.2)])
@@ -279,8 +280,9 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     new = np.log([8e-9, 5e-9, 2e-9])
     weights = LocalWeights(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2), new)
     track = np.array([[UNASSIGNED, UNASSIGNED, UNASSIGNED], [UNASSIGNED, 0, 1]])
-    ranked = Hypotheses(track, track, np.array([0.4, 0.6]))
-    augmented = augment(state, births, weights, ranked, PARAMETERS)
+    ranked = Hypotheses(track, track, np.array([0.4, 0.6]), 0.0)
+    born = worth_keeping(births, weights, ranked, PARAMETERS)
+    augmented = augment(state, births, weights, born, born, PARAMETERS)
     after = augmented.state
     assert augmented.birth_track.tolist() == [1, UNASSIGNED, 2]
     assert after.track_id.tolist() == [1, 2, 3] and after.next_id == 4
@@ -309,8 +311,9 @@ def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
     births = births_of(rng, np.log([[1e-9, 1e-9], [1e-30, 1e-30]]))
     weights = LocalWeights(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), np.log([4e-9, 4e-9]))
     track = np.array([[UNASSIGNED, UNASSIGNED], [1, UNASSIGNED]])
-    ranked = Hypotheses(track, track, np.array([0.5, 0.5]))
-    augmented = augment(state, births, weights, ranked, PARAMETERS)
+    ranked = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
+    born = worth_keeping(births, weights, ranked, PARAMETERS)
+    augmented = augment(state, births, weights, born, born, PARAMETERS)
     _, fit = linear_problem(rng, state, np.ones((2, DIM), dtype=bool))
     outcomes = judge(augmented, fit, ranked)
     np.testing.assert_allclose(outcomes.existence[:, 1:], [[0.25, 0.25], [0.0, 0.25]])
