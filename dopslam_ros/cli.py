@@ -3,38 +3,40 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-import yaml
 from tqdm import tqdm
 
 from dopslam_ros import __version__
 from dopslam_ros.bag import BagError, BagReader, BagWriter
 from dopslam_ros.bag.repair import repair
 from dopslam_ros.core.evaluation import StepRecord, summarise
-from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.model import with_doppler_std
-from dopslam_ros.core.parameters import (
-    ParameterError,
-    checked,
-    commented_yaml,
-    declarations,
-    shared_values,
-    unknown_name,
+from dopslam_ros.core.parameters import ParameterError, commented_yaml, shared_values
+from dopslam_ros.core.scenario import ScenarioError, load_scenario
+from dopslam_ros.core.study import nominal_bounds
+from dopslam_ros.options import (
+    UsageError,
+    add_json,
+    add_scenario,
+    add_settings,
+    check_files,
+    positive_number,
+    read_settings,
+    whole_from_zero,
+    with_progress,
+    write_json,
 )
-from dopslam_ros.core.scenario import Scenario, ScenarioError, builtin_scenarios, load_scenario
-from dopslam_ros.core.study import filter_parameters_for, nominal_bounds, run_study
 from dopslam_ros.published import published
+from dopslam_ros.study import command as study
 
-T = TypeVar("T")
 SIGMAS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5)
 
 EXAMPLES = {
@@ -42,21 +44,17 @@ EXAMPLES = {
     "simulate": "dopslam simulate --scenario paper --seed 7 --out runs/sim7",
     "replay": "dopslam replay bags/paper --json result.json --param gamma=1",
     "bounds": "dopslam bounds --sigma-d 0.1 0.5",
-    "study": "dopslam study --runs 100 --seed 1 --no-doppler --coupling marginal",
+    "study": "dopslam study --filters joint marginal --doppler 0.1 none --out runs/study",
     "parameters": "dopslam parameters filter > config/filter.yaml",
     "recover": "dopslam recover runs/cut_off runs/whole",
 }
-
-
-class UsageError(ValueError):
-    """The command line asks for something that cannot be done; the message says what."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns 0, 1 if it failed, 2 if it was asked wrongly, 130 on Ctrl-C."""
     options = _parser().parse_args(arguments)
     try:
-        _check_files(options)
+        check_files(options)
         return int(options.run(options))
     except (UsageError, ScenarioError, ParameterError) as error:
         _complain(error)
@@ -94,44 +92,39 @@ def _parser() -> argparse.ArgumentParser:
         return sub
 
     sub = command("demo", _demo, "run the paper's scene live, record, replay, compare, draw")
-    _add_scenario(sub, "paper")
-    sub.add_argument("--seed", type=_seed, help="of the run (default: the scenario's)")
-    sub.add_argument("--rate", type=_positive, default=10.0, help="times real time (default: 10)")
+    add_scenario(sub, "paper")
+    sub.add_argument("--seed", type=whole_from_zero, help="of the run (default: the scenario's)")
+    sub.add_argument(
+        "--rate", type=positive_number, default=10.0, help="times real time (default: 10)"
+    )
     sub.add_argument("--out", type=Path, default=Path("runs"), help="parent folder of the results")
 
     sub = command("simulate", _simulate, "write a simulated run into a bag")
-    _add_scenario(sub, "paper")
-    sub.add_argument("--seed", type=_seed, help="of the run (default: the scenario's)")
+    add_scenario(sub, "paper")
+    sub.add_argument("--seed", type=whole_from_zero, help="of the run (default: the scenario's)")
     sub.add_argument("--out", type=Path, required=True, help="folder of the new bag")
 
     sub = command("replay", _replay, "filter a bag offline, as fast as it goes")
     sub.add_argument("bag", type=Path, help="folder of a bag, or an .mcap file")
     sub.add_argument("--out", type=Path, help="folder of a new bag with the results")
     sub.add_argument("--picture", type=Path, help="file (.png, .svg) of track, map and errors")
-    _add_settings(sub)
-    _add_json(sub)
+    add_settings(sub)
+    add_json(sub)
 
     sub = command("bounds", _bounds, "error bounds at the last step, for several Doppler noises")
-    _add_scenario(sub, "paper_bounds")
+    add_scenario(sub, "paper_bounds")
     sub.add_argument(
         "--sigma-d",
-        type=_positive,
+        type=positive_number,
         nargs="+",
         default=SIGMAS,
         metavar="M/S",
         help="standard deviations of the Doppler [m/s]; without Doppler is always added",
     )
-    _add_json(sub)
+    add_json(sub)
 
-    sub = command("study", _study, "Monte Carlo of the filter and its bound")
-    _add_scenario(sub, "paper")
-    sub.add_argument("--runs", type=_count, default=100, help="how many (default: 100)")
-    sub.add_argument("--seed", type=_seed, default=1, help="of the study (default: 1)")
-    sub.add_argument("--no-doppler", action="store_true", help="measure no Doppler")
-    sub.add_argument("--coupling", choices=("joint", "marginal"), help="as the parameter")
-    sub.add_argument("--workers", type=_count, help="processes (default: one a core)")
-    _add_settings(sub)
-    _add_json(sub)
+    sub = command("study", study.run, "Monte Carlo: filters beside each other and their bound")
+    study.add_arguments(sub)
 
     sub = command("parameters", _parameters, "the parameters of a node as a commented YAML file")
     sub.add_argument("node", choices=sorted(_NODES), help="which node")
@@ -143,25 +136,6 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("old", type=Path, help="folder of a bag, or an .mcap file; stays as it is")
     sub.add_argument("new", type=Path, help="folder of the new bag")
     return parser
-
-
-def _add_scenario(parser: argparse.ArgumentParser, default: str) -> None:
-    parser.add_argument(
-        "--scenario",
-        default=default,
-        help=f"a YAML file, or one of {', '.join(builtin_scenarios())} (default: {default})",
-    )
-
-
-def _add_settings(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--params", type=Path, help="YAML file of filter parameters")
-    parser.add_argument(
-        "--param", action="append", default=[], metavar="NAME=VALUE", help="one filter parameter"
-    )
-
-
-def _add_json(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", type=Path, metavar="F", help="file for the result as JSON")
 
 
 # --- commands ------------------------------------------------------------------------------------
@@ -184,7 +158,7 @@ def _demo(options: Any) -> int:
         bag = run_live(options.scenario, seed, options.rate, folder, show)
     run, different = replay_and_compare(bag, folder / "replay")
     summary = _summary(run)
-    _write_json(folder / "result.json", summary)
+    write_json(folder / "result.json", summary)
     print(f"live run recorded in {bag}, replayed into {folder / 'replay'}")
     print(f"replay against live: {different or 'all vehicle states equal, byte for byte'}")
     _print_summary(summary)
@@ -200,7 +174,7 @@ def _simulate(options: Any) -> int:
     scenario = load_scenario(options.scenario)
     seed = scenario.seed if options.seed is None else options.seed
     with BagWriter(options.out, flush_seconds=None) as writer:
-        progress = partial(_progress, total=scenario.steps, description="simulate")
+        progress = partial(with_progress, total=scenario.steps, description="simulate")
         count = write_simulation(scenario, seed, writer, progress)
     print(f"{count} snapshots of scene '{scenario.name}', seed {seed}, in {options.out}")
     return 0
@@ -211,8 +185,8 @@ def _replay(options: Any) -> int:
     from dopslam_ros.replay import replay
 
     reader = BagReader(options.bag)
-    progress = partial(_progress, total=None, description="replay")
-    settings = _settings(options)
+    progress = partial(with_progress, total=None, description="replay")
+    settings = read_settings(options)
     if options.out is None:
         run = replay(reader, settings, None, progress)
     else:
@@ -220,7 +194,7 @@ def _replay(options: Any) -> int:
             run = replay(reader, settings, writer, progress)
     summary = _summary(run)
     _print_summary(summary)
-    _write_json(options.json, summary)
+    write_json(options.json, summary)
     if options.picture is not None:
         draw_run(run, options.picture, str(options.bag))
     return 0
@@ -240,7 +214,7 @@ def _bounds(options: Any) -> int:
                 "leb_mean": float(np.mean(bound.leb)) if len(bound.leb) else math.nan,
             }
         )
-    _write_json(options.json, {"rows": rows})
+    write_json(options.json, {"rows": rows})
     print("bounds at the last step; in brackets, ours over the paper's")
     print(f"{'sigma_d':>9} {'PEB [m]':>16} {'HEB [deg]':>16} {'CEB [m]':>16} {'mean LEB [m]':>16}")
     for row in rows:
@@ -253,25 +227,6 @@ def _bounds(options: Any) -> int:
         ]
         name = "without" if sigma is None else f"{sigma:g} m/s"
         print(f"{name:>9} " + " ".join(f"{text:>16}" for text in texts))
-    return 0
-
-
-def _study(options: Any) -> int:
-    scenario: Scenario = load_scenario(options.scenario)
-    if options.no_doppler:
-        scenario = with_doppler_std(scenario, None)
-    settings = _settings(options)
-    if options.coupling is not None:
-        settings["coupling"] = options.coupling
-    parameters = checked(filter_parameters_for(scenario, **settings))
-    runs = run_study(scenario, parameters, options.runs, options.seed, options.workers)
-    description = "study without Doppler" if options.no_doppler else "study"
-    records = list(_progress(runs, total=options.runs, description=description))
-    summary = {"runs": len(records), "seed": options.seed, "scenario": scenario.name}
-    summary |= {"coupling": parameters.coupling, "doppler": not options.no_doppler}
-    summary |= summarise(records)
-    _print_summary(summary)
-    _write_json(options.json, summary)
     return 0
 
 
@@ -312,35 +267,10 @@ _NODES = {
 # --- pieces --------------------------------------------------------------------------------------
 
 
-def _settings(options: Any) -> dict[str, Any]:
-    """Filter parameters from --params and --param, checked."""
-    values: dict[str, Any] = {}
-    if options.params is not None:
-        try:
-            content = yaml.safe_load(options.params.read_text(encoding="utf-8"))
-        except yaml.YAMLError as error:
-            raise UsageError(f"'{options.params}' is not YAML: {error}") from error
-        if isinstance(content, dict) and set(content) == {"/**"}:  # as a ROS parameter file
-            content = content["/**"].get("ros__parameters", {})
-        if not isinstance(content, dict):
-            raise UsageError(f"'{options.params}' must hold 'name: value' lines")
-        values |= content
-    for item in options.param:
-        name, equals, text = item.partition("=")
-        if not equals:
-            raise UsageError(f"--param {item}: write NAME=VALUE")
-        values[name] = yaml.safe_load(text)
-    known = {d.name: d for d in declarations(FilterParameters)}
-    for name in values:
-        if name not in known:
-            raise UsageError(unknown_name("filter parameter", name, known))
-    return {name: known[name].check(value) for name, value in values.items()}
-
-
 def _summary(run: Any) -> dict[str, Any]:
     """The JSON of a replay."""
     records: list[StepRecord] = run.records()
-    summary = summarise([records])
+    summary = summarise(records)
     summary["problems"] = dict(sorted(run.problems.items()))
     if run.damage:
         summary["damage"] = run.damage
@@ -368,9 +298,6 @@ def _print_summary(summary: dict[str, Any]) -> None:
             print(f"{label:18}{last:10.2f}   mean of the last {len(summary[key][-10:])} steps")
     if "nees_mean" in summary:
         print(f"{'NEES':18}{summary['nees_mean']:10.2f}   4 where the covariance is honest")
-    if "correct_association_weight" in summary:
-        weight = summary["correct_association_weight"]
-        print(f"{'association':18}{weight:10.3f}   weight of the true one")
     if "step_ms_p50" in summary:
         print(
             f"{'step time [ms]':18}{summary['step_ms_p50']:10.2f}   median of {summary['steps']}"
@@ -380,58 +307,6 @@ def _print_summary(summary: dict[str, Any]) -> None:
         print(f"problem: {name}: {count}")
     if "damage" in summary:
         print(f"damaged bag: {summary['damage']}")
-
-
-def _progress(items: Iterable[T], total: int | None, description: str) -> Iterable[T]:
-    return tqdm(items, total=total, desc=description, disable=not sys.stderr.isatty())
-
-
-def _write_json(path: Path | None, content: dict[str, Any]) -> None:
-    if path is not None:
-        path.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", "utf-8")
-
-
-def _plain(value: Any) -> Any:
-    """JSON knows no NaN and no infinity: they become null."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def _check_files(options: Any) -> None:
-    """Files that cannot be written are told before the work is done, not after."""
-    for option in ("json", "picture"):
-        path: Path | None = getattr(options, option, None)
-        if path is not None and (not path.parent.is_dir() or path.is_dir()):
-            raise UsageError(f"--{option} {path}: give a file in a folder that exists")
-        if path is not None and option == "picture" and path.suffix not in (".png", ".svg"):
-            raise UsageError(f"--picture {path}: give a name that ends in .png or .svg")
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a number above 0")
-    return value
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 1 on")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 0 on")
-    return int(text)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Runs judged against the truth: one record per run, one summary over runs."""
+"""Runs judged against the truth: a record for each step, a summary for the run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ class StepRecord:
         gospa_va: GOSPA distance of the VAs [m].
         gospa_sp: of the SPs [m].
         bound: (3,) PEB [m], HEB [rad], CEB [m].
-        correct_weight: weight of the correct association.
         seconds: time the step took.
     """
 
@@ -35,7 +34,6 @@ class StepRecord:
     gospa_va: float
     gospa_sp: float
     bound: FloatArray
-    correct_weight: float
     seconds: float
 
 
@@ -47,7 +45,6 @@ def judge_step(
     true_vas: FloatArray | None,
     true_sps: FloatArray | None,
     bound: Bounds | None,
-    correct_weight: float = math.nan,
     seconds: float = math.nan,
 ) -> StepRecord:
     """Compares an estimate with the truth as far as it is known.
@@ -60,7 +57,6 @@ def judge_step(
         true_vas: (n, 3) or None.
         true_sps: (n, 3) or None.
         bound: at this step, or None.
-        correct_weight: weight of the correct association.
         seconds: time the step took.
     """
     error, normalised = np.full(4, np.nan), math.nan
@@ -79,46 +75,42 @@ def judge_step(
         gospa_va=distance(true_vas, LandmarkType.VA),
         gospa_sp=distance(true_sps, LandmarkType.SP),
         bound=np.full(3, np.nan) if bound is None else np.array(bound[:3]),
-        correct_weight=correct_weight,
         seconds=seconds,
     )
 
 
-def summarise(runs: Sequence[Sequence[StepRecord]]) -> dict[str, Any]:
-    """Averages over runs (all of the same length) and steps, by the names of the JSON output.
+def summarise(run: Sequence[StepRecord]) -> dict[str, Any]:
+    """Averages over the steps of a run, by the names of the JSON output.
 
     What is not known in any step is left out.
     """
 
-    def table(name: str) -> FloatArray:
-        return np.array([[getattr(step, name) for step in run] for run in runs], dtype=np.float64)
+    def column(name: str) -> FloatArray:
+        return np.array([getattr(step, name) for step in run], dtype=np.float64)
 
-    summary: dict[str, Any] = {"steps": len(runs[0]) if runs else 0}
-    if not runs or not runs[0]:
+    summary: dict[str, Any] = {"steps": len(run)}
+    if not run:
         return summary
-    seconds = table("seconds") * 1e3
+    seconds = column("seconds") * 1e3
     if np.isfinite(seconds).any():
         summary["step_ms_p50"] = float(np.nanpercentile(seconds, 50))
         summary["step_ms_p99"] = float(np.nanpercentile(seconds, 99))
-    judged = np.isfinite(table("error")).all(axis=2)
+    judged = np.isfinite(column("error")).all(axis=1)
     if judged.any():
-        errors = rmse(table("error")[judged])
+        errors = rmse(column("error")[judged])
         summary["position_rmse"] = errors.position
         summary["heading_rmse_deg"] = errors.heading_deg
         summary["clock_bias_rmse"] = errors.clock_bias
-        summary["nees_mean"] = float(np.nanmean(table("nees")))
+        summary["nees_mean"] = float(np.nanmean(column("nees")))
     for name in ("gospa_va", "gospa_sp"):
-        distances = table(name)
+        distances = column(name)
         if np.isfinite(distances).all():
-            summary[name] = distances.mean(axis=0).tolist()
-    bound = np.square(table("bound"))
-    known = np.isfinite(bound).all(axis=2)
+            summary[name] = distances.tolist()
+    bound = np.square(column("bound"))
+    known = np.isfinite(bound).all(axis=1)
     if known.any():
         peb, heb, ceb = np.sqrt(bound[known].mean(axis=0))
         summary["bound_position_rms"] = float(peb)
         summary["bound_heading_rms_deg"] = math.degrees(heb)
         summary["bound_clock_rms"] = float(ceb)
-    weights = table("correct_weight")
-    if np.isfinite(weights).any():
-        summary["correct_association_weight"] = float(np.nanmean(weights))
     return summary

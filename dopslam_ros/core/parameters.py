@@ -6,6 +6,7 @@ declarations, so that none of them can disagree with another.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import itertools
@@ -175,6 +176,38 @@ def checked(instance: P) -> P:
     return dataclasses.replace(instance, **values)  # type: ignore[type-var]
 
 
+def parse_assignment(text: str) -> tuple[str, object]:
+    """The name and the value of ``NAME=VALUE``, the value as YAML has it.
+
+    Raises:
+        ParameterError: not of this form, or the value is no YAML.
+    """
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise ParameterError(f"{text!r}: write NAME=VALUE")
+    try:
+        parsed = yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise ParameterError(f"{text!r}: the value is not YAML: {error}") from error
+    if isinstance(parsed, str):  # YAML takes 1e-3 for a text
+        with contextlib.suppress(ValueError):
+            return name.strip(), float(parsed)
+    return name.strip(), parsed
+
+
+def checked_values(parameters: type[Any], mapping: Mapping[str, object]) -> dict[str, Value]:
+    """Names and values for a parameter dataclass, each checked and converted.
+
+    Raises:
+        ParameterError: an unknown name (the nearest valid one is suggested) or a bad value.
+    """
+    known = {d.name: d for d in declarations(parameters)}
+    for name in mapping:
+        if name not in known:
+            raise ParameterError(unknown_name("parameter", name, known))
+    return {name: known[name].check(value) for name, value in mapping.items()}
+
+
 def from_mapping(parameters: type[P], mapping: Mapping[str, object], **extra: object) -> P:
     """Parameters from names and values; what is not named keeps its default.
 
@@ -186,12 +219,7 @@ def from_mapping(parameters: type[P], mapping: Mapping[str, object], **extra: ob
     Raises:
         ParameterError: an unknown name (the nearest valid one is suggested) or a bad value.
     """
-    known = {d.name: d for d in declarations(parameters)}
-    for name in mapping:
-        if name not in known:
-            raise ParameterError(unknown_name("parameter", name, known))
-    values = {name: known[name].check(value) for name, value in mapping.items()}
-    return parameters(**values, **extra)
+    return parameters(**checked_values(parameters, mapping), **extra)
 
 
 def unknown_name(kind: str, name: str, known: Mapping[str, object] | Sequence[str]) -> str:

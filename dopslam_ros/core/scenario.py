@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -19,6 +20,7 @@ from dopslam_ros.core.parameters import (
     ParameterError,
     from_mapping,
     parameter,
+    to_mapping,
     unknown_name,
 )
 
@@ -123,6 +125,19 @@ def parse_scenario(content: object) -> Scenario:
     return from_mapping(
         Scenario, values, landmarks=positions, landmark_types=types, controls=controls
     )
+
+
+def scenario_content(scenario: Scenario) -> dict[str, Any]:
+    """The content of a YAML file that ``parse_scenario`` makes the same scene of."""
+    places = zip(scenario.landmark_types.tolist(), scenario.landmarks.tolist(), strict=True)
+    return {
+        **to_mapping(scenario),
+        "landmarks": [{"type": LandmarkType(t).name, "position": p} for t, p in places],
+        "controls": [
+            {"steps": len(list(group)), **control._asdict()}
+            for control, group in itertools.groupby(scenario.controls)
+        ],
+    }
 
 
 def _parse_landmarks(entries: object) -> tuple[FloatArray, IntArray]:

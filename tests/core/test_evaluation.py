@@ -38,7 +38,6 @@ def test_a_step_is_judged_against_what_is_known() -> None:
         np.zeros((1, 3)),
         np.zeros((2, 3)),
         BOUND,
-        0.75,
         0.004,
     )
     np.testing.assert_allclose(record.error, [2.0, -1.0, 0.1, 3.0])
@@ -46,7 +45,7 @@ def test_a_step_is_judged_against_what_is_known() -> None:
     assert record.gospa_va == pytest.approx(math.sqrt(9.0 + 200.0))  # one near, one false
     assert record.gospa_sp == pytest.approx(math.sqrt(1.0 + 200.0))  # one near, one missed
     assert record.bound.tolist() == [0.1, 0.01, 0.2]
-    assert (record.correct_weight, record.seconds) == (0.75, 0.004)
+    assert record.seconds == 0.004
 
 
 def test_headings_wrap() -> None:
@@ -59,49 +58,40 @@ def test_without_truth_nothing_is_judged_and_nothing_summarised() -> None:
     record = judge_step(TRUTH, COVARIANCE, reported([], []), None, None, None, None)
     assert np.isnan(record.error).all() and math.isnan(record.nees)
     assert math.isnan(record.gospa_va) and math.isnan(record.gospa_sp)
-    assert summarise([[record, record]]) == {"steps": 2}
-    assert summarise([]) == {"steps": 0} and summarise([[]]) == {"steps": 0}
+    assert summarise([record, record]) == {"steps": 2}
+    assert summarise([]) == {"steps": 0}
 
 
 def record(error: list[float], **known: float) -> StepRecord:
-    values = {"nees": 4.0, "gospa_va": math.nan, "gospa_sp": math.nan}
-    values |= {"correct_weight": math.nan, "seconds": math.nan, **known}
+    values = {"nees": 4.0, "gospa_va": math.nan, "gospa_sp": math.nan, "seconds": math.nan, **known}
     bound = values.pop("peb", math.nan)
     return StepRecord(error=np.array(error), bound=np.full(3, bound), **values)
 
 
-def test_the_summary_averages_over_runs_and_steps() -> None:
-    runs = [
-        [
-            record([3.0, 4.0, 0.0, 1.0], nees=2.0, gospa_va=10.0, gospa_sp=1.0, seconds=0.001),
-            record([0.0] * 4, nees=4.0, gospa_va=4.0, gospa_sp=1.0, seconds=0.003),
-        ],
-        [
-            record([0.0, 0.0, 0.02, -1.0], nees=6.0, gospa_va=20.0, gospa_sp=1.0, seconds=0.002),
-            record([0.0] * 4, nees=8.0, gospa_va=6.0, gospa_sp=2.0, seconds=0.002),
-        ],
+def test_the_summary_averages_over_steps() -> None:
+    run = [
+        record([3.0, 4.0, 0.0, 1.0], nees=2.0, gospa_va=10.0, gospa_sp=1.0, seconds=0.001),
+        record([0.0] * 4, nees=4.0, gospa_va=4.0, gospa_sp=1.0, seconds=0.003),
+        record([0.0, 0.0, 0.02, -1.0], nees=6.0, gospa_va=20.0, gospa_sp=1.0, seconds=0.002),
+        record([0.0] * 4, nees=8.0, gospa_va=6.0, gospa_sp=2.0, seconds=0.002),
     ]
-    summary = summarise(runs)
-    assert summary["steps"] == 2
+    summary = summarise(run)
+    assert summary["steps"] == 4
     assert summary["position_rmse"] == pytest.approx(2.5)
     assert summary["heading_rmse_deg"] == pytest.approx(math.degrees(0.01))
     assert summary["clock_bias_rmse"] == pytest.approx(math.sqrt(0.5))
     assert summary["nees_mean"] == pytest.approx(5.0)
-    assert summary["gospa_va"] == pytest.approx([15.0, 5.0])
-    assert summary["gospa_sp"] == pytest.approx([1.0, 1.5])
+    assert summary["gospa_va"] == [10.0, 4.0, 20.0, 6.0]
+    assert summary["gospa_sp"] == [1.0, 1.0, 1.0, 2.0]
     assert summary["step_ms_p50"] == pytest.approx(2.0)
     assert 2.9 < summary["step_ms_p99"] <= 3.0
-    assert "correct_association_weight" not in summary and "bound_position_rms" not in summary
+    assert "bound_position_rms" not in summary
 
 
-def test_bounds_are_averaged_as_squares_and_weights_as_they_are() -> None:
-    runs = [
-        [record([0.0] * 4, peb=3.0, correct_weight=0.5), record([0.0] * 4, peb=4.0)],
-        [record([0.0] * 4, peb=math.inf), record([math.nan] * 4, correct_weight=1.0)],
-    ]
-    summary = summarise(runs)
+def test_bounds_are_averaged_as_squares_where_they_are_known() -> None:
+    unknown = record([math.nan] * 4, peb=math.inf)
+    summary = summarise([record([0.0] * 4, peb=3.0), record([0.0] * 4, peb=4.0), unknown])
     assert summary["bound_position_rms"] == pytest.approx(math.sqrt(12.5))
     assert summary["bound_heading_rms_deg"] == pytest.approx(math.degrees(math.sqrt(12.5)))
     assert summary["bound_clock_rms"] == pytest.approx(math.sqrt(12.5))
-    assert summary["correct_association_weight"] == pytest.approx(0.75)
     assert summary["position_rmse"] == 0.0

@@ -1,0 +1,117 @@
+"""Options that several commands have, and what their values mean."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from tqdm import tqdm
+
+from dopslam_ros.core.filter import FilterParameters
+from dopslam_ros.core.parameters import ParameterError, checked_values, parse_assignment
+from dopslam_ros.core.scenario import builtin_scenarios
+from dopslam_ros.files import json_text
+
+T = TypeVar("T")
+
+
+class UsageError(ValueError):
+    """The command line asks for something that cannot be done; the message says what."""
+
+
+def add_scenario(parser: argparse.ArgumentParser, default: str) -> None:
+    """``--scenario``."""
+    parser.add_argument(
+        "--scenario",
+        default=default,
+        help=f"a YAML file, or one of {', '.join(builtin_scenarios())} (default: {default})",
+    )
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """``--params`` and ``--param``."""
+    parser.add_argument("--params", type=Path, help="YAML file of filter parameters")
+    parser.add_argument(
+        "--param", action="append", default=[], metavar="NAME=VALUE", help="one filter parameter"
+    )
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """``--json``."""
+    parser.add_argument("--json", type=Path, metavar="F", help="file for the result as JSON")
+
+
+def read_settings(options: Any) -> dict[str, Any]:
+    """Filter parameters from --params and --param, checked."""
+    values: dict[str, Any] = {}
+    if options.params is not None:
+        try:
+            content = yaml.safe_load(options.params.read_text(encoding="utf-8"))
+        except yaml.YAMLError as error:
+            raise UsageError(f"'{options.params}' is not YAML: {error}") from error
+        if isinstance(content, dict) and set(content) == {"/**"}:  # as a ROS parameter file
+            content = content["/**"].get("ros__parameters", {})
+        if not isinstance(content, dict):
+            raise UsageError(f"'{options.params}' must hold 'name: value' lines")
+        values |= content
+    for item in options.param:
+        try:
+            name, value = parse_assignment(item)
+        except ParameterError as error:
+            raise UsageError(f"--param {error}") from error
+        values[name] = value
+    return checked_values(FilterParameters, values)
+
+
+def check_files(options: Any) -> None:
+    """Files that cannot be written are told before the work is done, not after."""
+    for option in ("json", "picture"):
+        path: Path | None = getattr(options, option, None)
+        if path is not None and (not path.parent.is_dir() or path.is_dir()):
+            raise UsageError(f"--{option} {path}: give a file in a folder that exists")
+        if path is not None and option == "picture" and path.suffix not in (".png", ".svg"):
+            raise UsageError(f"--picture {path}: give a name that ends in .png or .svg")
+
+
+def with_progress(
+    items: Iterable[T], total: int | None, description: str, done: int = 0
+) -> Iterable[T]:
+    """The same items, with a bar on a terminal; ``done`` of the total were there before."""
+    hidden = not sys.stderr.isatty()
+    return tqdm(items, total=total, initial=done, desc=description, disable=hidden)
+
+
+def write_json(path: Path | None, content: dict[str, Any]) -> None:
+    """Writes the result, if a file was asked for."""
+    if path is not None:
+        path.write_text(json_text(content), "utf-8")
+
+
+def positive_number(text: str) -> float:
+    """A number above zero, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a number above 0")
+    return value
+
+
+def whole_from_one(text: str) -> int:
+    """A whole number from 1 on, for argparse."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 1 on")
+    return int(text)
+
+
+def whole_from_zero(text: str) -> int:
+    """A whole number from 0 on, for argparse."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 0 on")
+    return int(text)

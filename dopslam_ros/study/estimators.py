@@ -1,0 +1,300 @@
+"""The filters that a study compares, behind one interface."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices
+from dopslam_ros.core.assignment import UNASSIGNED
+from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.filter import Associations, FilterParameters, LandmarkEstimates
+from dopslam_ros.core.filter.state import UE
+from dopslam_ros.core.filter.step import BS_ID
+from dopslam_ros.core.genie import genie_step, initial_genie
+from dopslam_ros.core.motion import Control, ControlSpan, predict_covariance, propagate_spans
+from dopslam_ros.core.parameters import (
+    ParameterError,
+    checked_values,
+    parse_assignment,
+    unknown_name,
+)
+from dopslam_ros.core.scenario import Scenario
+from dopslam_ros.core.session import FilterSession
+from dopslam_ros.core.simulator import CLUTTER, Snapshot, all_landmarks
+from dopslam_ros.core.study import filter_parameters_for
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a filter says after a snapshot.
+
+    Attributes:
+        mean: (4,) x [m], y [m], heading [rad], clock bias [m] of the vehicle.
+        covariance: (4, 4).
+        landmarks: the map it reports.
+        correct_weight: weight of the correct association; NaN for a filter that makes none.
+        seconds: time the step took.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    landmarks: LandmarkEstimates
+    correct_weight: float
+    seconds: float
+
+
+class Estimator(Protocol):
+    """A filter on its way through one run."""
+
+    def step(self, snapshot: Snapshot) -> Estimate:
+        """Takes in the next snapshot.
+
+        Raises:
+            EstimatorError: there is no estimate.
+        """
+
+
+class EstimatorError(RuntimeError):
+    """A filter that could not take a snapshot in."""
+
+
+class Kind(NamedTuple):
+    """A filter that can be studied.
+
+    Attributes:
+        text: what it is, in a line.
+        fixed: the settings that make it what its name says.
+        make: from the scene and the filter's parameters.
+    """
+
+    text: str
+    fixed: Mapping[str, object]
+    make: Callable[[Scenario, FilterParameters], Estimator]
+
+
+def make_estimator(label: str, scenario: Scenario, settings: Mapping[str, object]) -> Estimator:
+    """The filter that a label names, knowing the models of the scene.
+
+    Args:
+        label: a name of KINDS, or with settings of its own, as in ``joint:gamma=20``.
+        scenario: the scene, with the Doppler noise of the run.
+        settings: of all filters; those of the label come first.
+
+    Raises:
+        ParameterError: unknown name, or a value that cannot be used.
+    """
+    kind, own = parse_label(label)
+    _refuse_contradiction(label, kind, settings)
+    values = {**settings, **own, **kind.fixed}
+    return kind.make(scenario, filter_parameters_for(scenario, **values))
+
+
+def check_label(label: str, settings: Mapping[str, object]) -> None:
+    """Raises ParameterError if ``make_estimator`` would."""
+    kind, _ = parse_label(label)
+    _refuse_contradiction(label, kind, settings)
+
+
+def parse_label(label: str) -> tuple[Kind, dict[str, object]]:
+    """The filter that a label names and the settings it gives it.
+
+    Raises:
+        ParameterError: unknown name, or a value that cannot be used.
+    """
+    name, colon, text = label.partition(":")
+    if name not in KINDS:
+        raise ParameterError(unknown_name("filter", name, KINDS))
+    # Only a comma before the next name separates: lists have commas too.
+    items = re.split(r",(?=\s*\w+\s*=)", text) if colon else []
+    try:
+        values: dict[str, object] = {
+            **checked_values(FilterParameters, dict(map(parse_assignment, items)))
+        }
+    except ParameterError as error:
+        raise ParameterError(f"filter '{label}': {error}") from error
+    _refuse_contradiction(label, KINDS[name], values)
+    return KINDS[name], values
+
+
+def _refuse_contradiction(label: str, kind: Kind, settings: Mapping[str, object]) -> None:
+    for name, value in kind.fixed.items():
+        if settings.get(name, value) != value:
+            raise ParameterError(
+                f"filter '{label}' has {name} = {value}, not {settings[name]}: leave the setting"
+                f" out, or name another filter ({', '.join(KINDS)})"
+            )
+
+
+class SessionEstimator:
+    """The EK-PMB or EK-PMBM filter, run as the node runs it."""
+
+    def __init__(self, scenario: Scenario, parameters: FilterParameters) -> None:
+        self._session = FilterSession(parameters)
+        self._tracker = SourceTracker()
+
+    def step(self, snapshot: Snapshot) -> Estimate:
+        """Takes in the next snapshot."""
+        known, stamp = self._session.state.track_ids, snapshot.stamp_ns
+        control = snapshot.control
+        outputs = [*self._session.add_control(stamp, control.speed, control.turn_rate)]
+        outputs += self._session.add_measurements(stamp, snapshot.measurements)
+        if not outputs:
+            problems = ", ".join(sorted(self._session.problems))
+            raise EstimatorError(f"no estimate at step {snapshot.step}: {problems}")
+        (output,) = outputs
+        return Estimate(
+            output.state.ue_mean,
+            output.state.ue_covariance,
+            output.landmarks,
+            self._tracker.correct_weight(snapshot, output.associations, known),
+            output.step_seconds,
+        )
+
+
+class GenieEstimator:
+    """The joint EKF that is told the true association."""
+
+    def __init__(self, scenario: Scenario, parameters: FilterParameters) -> None:
+        _, self._types = all_landmarks(scenario)
+        self._parameters = parameters
+        self._state = initial_genie(parameters)
+        self._odometry = Odometry()
+
+    def step(self, snapshot: Snapshot) -> Estimate:
+        """Takes in the next snapshot."""
+        started = time.perf_counter()
+        self._state = genie_step(
+            self._state,
+            snapshot.measurements,
+            snapshot.sources,
+            self._types,
+            self._odometry.spans(snapshot),
+            snapshot.control.speed,
+            self._parameters,
+        )
+        mean, covariance = self._state.mean[:UE], self._state.covariance[:UE, :UE]
+        landmarks = self._landmarks()
+        return Estimate(mean, covariance, landmarks, math.nan, time.perf_counter() - started)
+
+    def _landmarks(self) -> LandmarkEstimates:
+        """Those whose place is known as well as the other filters must know it to report them."""
+        index = block_indices(UE, np.arange(len(self._state.sources)), 3)
+        covariances = self._state.covariance[index[:, :, None], index[:, None, :]]
+        spread = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+        shown = spread <= self._parameters.report_std
+        types = self._types[self._state.sources[shown]]
+        return LandmarkEstimates(
+            ids=self._state.sources[shown],
+            types=types,
+            type_probabilities=np.eye(len(LandmarkType))[types],
+            existence=np.ones(len(types)),
+            positions=self._state.mean[index[shown]],
+            covariances=covariances[shown],
+        )
+
+
+class DeadReckoning:
+    """The controls alone: what the paths must improve on."""
+
+    def __init__(self, scenario: Scenario, parameters: FilterParameters) -> None:
+        self._noise_rate = parameters.noise_rate
+        self._mean = np.array(parameters.initial_state)
+        self._covariance = parameters.initial_covariance
+        self._odometry = Odometry()
+
+    def step(self, snapshot: Snapshot) -> Estimate:
+        """Takes in the next snapshot."""
+        started = time.perf_counter()
+        spans = self._odometry.spans(snapshot)
+        self._mean, jacobian, noise = propagate_spans(self._mean, spans, self._noise_rate)
+        self._covariance = predict_covariance(self._covariance, jacobian, noise)
+        return Estimate(
+            self._mean,
+            self._covariance,
+            _NO_LANDMARKS,
+            math.nan,
+            time.perf_counter() - started,
+        )
+
+
+class Odometry:
+    """What the vehicle did between two snapshots, for filters without a session."""
+
+    def __init__(self) -> None:
+        self._last: tuple[int, Control] | None = None
+
+    def spans(self, snapshot: Snapshot) -> tuple[ControlSpan, ...]:
+        """The control since the snapshot before; empty for the first one."""
+        last, self._last = self._last, (snapshot.stamp_ns, snapshot.control)
+        if last is None:
+            return ()
+        stamp, control = last
+        return (ControlSpan(control, (snapshot.stamp_ns - stamp) * 1e-9),)
+
+
+class SourceTracker:
+    """Remembers which track stands for which true landmark: the one born from its path."""
+
+    def __init__(self) -> None:
+        self._owner: dict[int, int] = {}
+
+    def correct_weight(
+        self, snapshot: Snapshot, associations: Associations, known: IntArray
+    ) -> float:
+        """Weight, among the hypotheses kept, of the association that is true.
+
+        Args:
+            snapshot: with the true sources.
+            associations: of the filter at this snapshot.
+            known: ids of the tracks before the snapshot.
+        """
+        alive = set(known.tolist())
+        self._owner = {source: track for source, track in self._owner.items() if track in alive}
+        true = np.array([self._true_id(source) for source in snapshot.sources.tolist()])
+        right = (associations.ids == true).all(axis=1)
+        for source, born in zip(snapshot.sources.tolist(), associations.born.tolist(), strict=True):
+            if source > 0 and born != UNASSIGNED:
+                self._owner.setdefault(source, born)
+        return float(associations.weight[right].sum())
+
+    def _true_id(self, source: int) -> int:
+        if source == CLUTTER:
+            return UNASSIGNED
+        return BS_ID if source == 0 else self._owner.get(source, UNASSIGNED)
+
+
+_NO_LANDMARKS = LandmarkEstimates(
+    ids=np.zeros(0, dtype=np.int64),
+    types=np.zeros(0, dtype=np.int64),
+    type_probabilities=np.zeros((0, len(LandmarkType))),
+    existence=np.zeros(0),
+    positions=np.zeros((0, 3)),
+    covariances=np.zeros((0, 3, 3)),
+)
+
+KINDS: dict[str, Kind] = {
+    "joint": Kind(
+        "EK-PMB that keeps the correlation between vehicle and map",
+        {"coupling": "joint", "density": "pmb"},
+        SessionEstimator,
+    ),
+    "marginal": Kind(
+        "EK-PMB of the paper, which drops that correlation after every step",
+        {"coupling": "marginal", "density": "pmb"},
+        SessionEstimator,
+    ),
+    "pmbm": Kind(
+        "EK-PMBM, which carries several global hypotheses on",
+        {"density": "pmbm"},
+        SessionEstimator,
+    ),
+    "genie": Kind("iterated EKF that is told the true association", {}, GenieEstimator),
+    "dead_reckoning": Kind("the controls alone, no path used", {}, DeadReckoning),
+}
