@@ -36,6 +36,7 @@ from dopslam_ros.options import (
 )
 from dopslam_ros.published import published
 from dopslam_ros.study import command as study
+from dopslam_ros.study.results import load_results
 
 SIGMAS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5)
 
@@ -45,6 +46,7 @@ EXAMPLES = {
     "replay": "dopslam replay bags/paper --json result.json --param gamma=1",
     "bounds": "dopslam bounds --sigma-d 0.1 0.5",
     "study": "dopslam study --filters joint marginal --doppler 0.1 none --out runs/study",
+    "figures": "dopslam figures runs/study --out runs/figures",
     "parameters": "dopslam parameters filter > config/filter.yaml",
     "recover": "dopslam recover runs/cut_off runs/whole",
 }
@@ -126,6 +128,10 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("study", study.run, "Monte Carlo: filters beside each other and their bound")
     study.add_arguments(sub)
 
+    sub = command("figures", _figures, "draw a study beside the paper's figures, with their ratios")
+    sub.add_argument("study", type=Path, help="folder of a study")
+    sub.add_argument("--out", type=Path, required=True, help="folder of the pictures and tables")
+
     sub = command("parameters", _parameters, "the parameters of a node as a commented YAML file")
     sub.add_argument("node", choices=sorted(_NODES), help="which node")
     sub.add_argument(
@@ -143,7 +149,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _demo(options: Any) -> int:
     from dopslam_ros.demo import new_folder, replay_and_compare, run_live
-    from dopslam_ros.figures import draw_run
+    from dopslam_ros.figures.run import draw_run
 
     scenario = load_scenario(options.scenario)
     seed = scenario.seed if options.seed is None else options.seed
@@ -181,7 +187,7 @@ def _simulate(options: Any) -> int:
 
 
 def _replay(options: Any) -> int:
-    from dopslam_ros.figures import draw_run
+    from dopslam_ros.figures.run import draw_run
     from dopslam_ros.replay import replay
 
     reader = BagReader(options.bag)
@@ -227,6 +233,20 @@ def _bounds(options: Any) -> int:
         ]
         name = "without" if sigma is None else f"{sigma:g} m/s"
         print(f"{name:>9} " + " ".join(f"{text:>16}" for text in texts))
+    return 0
+
+
+def _figures(options: Any) -> int:
+    from dopslam_ros.figures.paper import draw_study, missing
+    from dopslam_ros.figures.ratios import all_ratios, write_ratios
+
+    results = load_results(options.study)
+    options.out.mkdir(parents=True, exist_ok=True)
+    names = draw_study(results, options.out)
+    write_ratios(all_ratios(results), options.out)
+    print(f"in {options.out}: {', '.join(names)} (.png, .svg); ratios (.md, .csv, .json)")
+    for text in missing(results):
+        print(f"missing: {text}")
     return 0
 
 

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.cli import main
-from dopslam_ros.figures import MAGNIFIED, _ellipse, draw_run
+from dopslam_ros.figures.run import MAGNIFIED, _ellipse, draw_run
 from dopslam_ros.replay import Replay, replay
 
 if TYPE_CHECKING:

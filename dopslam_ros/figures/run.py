@@ -5,10 +5,6 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")  # files only, no screen needed
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,12 +14,10 @@ from scipy.stats import chi2
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.metrics import state_errors
+from dopslam_ros.figures.style import BOUND, ESTIMATE, TRUTH
 from dopslam_ros.filter_messages import COLOURS, ELLIPSOID_PROBABILITY
 from dopslam_ros.replay import Replay
 
-TRUTH = "0.35"
-ESTIMATE = "#c03030"
-BOUND = "#2060a0"
 MARKS = {LandmarkType.BS: "^", LandmarkType.VA: "s", LandmarkType.SP: "o"}
 # Ellipses are drawn this much larger: at true size they would vanish in a scene of 400 m.
 MAGNIFIED = 10.0

@@ -1,0 +1,1 @@
+"""Pictures: of one run (``run``) and of a study beside the paper (``paper``, ``ratios``)."""
