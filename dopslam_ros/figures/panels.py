@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,32 +15,50 @@ from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.figures.numbers import Band, Curve
 from dopslam_ros.figures.style import Look
 
+Share: TypeAlias = Literal["all", "row", "none"]
+
 WIDTH = 9.0  # of a figure [inches]
 LEAST_PANEL_WIDTH = 3.0
 ROW_OF_KEY = 0.22
 
 
-def grid(rows: int, columns: int, height: float, share_y: bool = True) -> tuple[Figure, Any]:
+def grid(rows: int, columns: int, height: float, share: Share) -> tuple[Figure, Any]:
     """A figure with (rows, columns) panels.
 
     Args:
         rows: of panels.
         columns: of panels.
         height: of the figure [inches].
-        share_y: whether the panels of a row have one y axis.
+        share: which panels have one y axis.
     """
     width = max(WIDTH, columns * LEAST_PANEL_WIDTH)
     figure = plt.figure(figsize=(width, height), layout="constrained")
-    share: Literal["row", "none"] = "row" if share_y else "none"
     return figure, figure.subplots(rows, columns, squeeze=False, sharey=share)
+
+
+def pairs(count: int, height: float, label: str) -> tuple[Figure, Any]:
+    """A figure with (count,) panels, two in a row, with one y axis for all.
+
+    Args:
+        count: of panels.
+        height: of a row [inches].
+        label: of the y axis.
+    """
+    rows, columns = math.ceil(count / 2), min(count, 2)
+    figure, panels = grid(rows, columns, rows * height, "all")
+    for axes in panels.flat[count:]:
+        axes.remove()
+    for axes in panels[:, 0]:
+        axes.set_ylabel(label)
+    return figure, panels.flat[:count]
 
 
 def legend(figure: Figure, panels: Any, columns: int) -> None:
     """One legend for all panels, above them, each name once."""
     found: dict[str, Any] = {}
     for axes in panels.flat:
-        handles, labels = axes.get_legend_handles_labels()
-        found |= dict(zip(labels, handles, strict=True))
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
     columns = min(columns, len(found))
     share = (0.1 + math.ceil(len(found) / columns) * ROW_OF_KEY) / figure.get_figheight()
     figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, 1.0 - share))
@@ -76,7 +94,7 @@ def curve(axes: Axes, values: Curve, look: Look) -> None:
 def log_scale(axes: Axes) -> None:
     """A logarithmic y axis with plain numbers."""
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_locator(LogLocator(subs=()))
 

@@ -8,14 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from matplotlib.style import context as style_context
 
 from dopslam_ros.core.metrics import Rmse
 from dopslam_ros.figures import numbers
-from dopslam_ros.figures.panels import band, curve, grid, legend, line, log_scale
+from dopslam_ros.figures.panels import band, curve, grid, legend, line, log_scale, pairs
 from dopslam_ros.figures.style import LOOKS, PUBLISHED, RC, Look, doppler_colours, kind, looks, save
 from dopslam_ros.published import Kind, published
 from dopslam_ros.study.results import Results
@@ -48,7 +48,7 @@ def draw_study(results: Results, folder: Path) -> list[str]:
         OSError: a file cannot be written.
     """
     names = [name for name, plot in FIGURES.items() if not plot.field or _known(results, plot)]
-    with plt.rc_context(RC):
+    with style_context(["default", RC]):  # whatever the user has set
         for name in names:
             save(FIGURES[name].draw(results), folder, name)
     return names
@@ -97,7 +97,7 @@ def _bounds(_: Results) -> Figure:
     limit, their_limit = np.array([numbers.bounds_at(None), paper.bounds_at(None)])
     dark, light = doppler_colours(2)
     points: dict[str, Any] = {"color": "black", "mfc": "none", "ls": "", "ms": 6}
-    figure, panels = grid(2, 2, 5.6, share_y=False)
+    figure, panels = grid(2, 2, 5.6, "none")
     for place, axes in enumerate(panels.flat):
         axes.plot(sigmas, ours[:, place], color=dark, label="with Doppler, ours")
         label = "with Doppler, published"
@@ -116,8 +116,8 @@ def _bounds(_: Results) -> Figure:
 def _gospa(results: Results, landmarks: Kind) -> Figure:
     """GOSPA over time: the mean over runs with its standard error, and the published curve."""
     paper = numbers.paper_beside(results)
-    figure, panels = grid(1, len(results.plan.dopplers), 3.7)
-    for axes, doppler in zip(panels[0], numbers.cases(results), strict=True):
+    figure, panels = pairs(len(results.plan.dopplers), 3.7, "GOSPA distance [m]")
+    for axes, doppler in zip(panels, numbers.cases(results), strict=True):
         theirs = None if paper is None else paper.gospa_at(landmarks, doppler)
         if theirs is not None:
             line(axes, theirs, PUBLISHED)
@@ -127,7 +127,6 @@ def _gospa(results: Results, landmarks: Kind) -> Figure:
                 curve(axes, ours, look)
         axes.set_title(condition(doppler))
         axes.set_ylim(bottom=0.0)
-    panels[0, 0].set_ylabel("GOSPA distance [m]")
     legend(figure, panels, 4)
     return figure
 
@@ -135,8 +134,8 @@ def _gospa(results: Results, landmarks: Kind) -> Figure:
 def _association(results: Results) -> Figure:
     """The weight of the correct association over time, its mean over time beside the name."""
     paper = numbers.paper_beside(results)
-    figure, panels = grid(1, len(results.plan.dopplers), 3.7)
-    for axes, doppler in zip(panels[0], numbers.cases(results), strict=True):
+    figure, panels = pairs(len(results.plan.dopplers), 3.7, "weight of the correct association")
+    for axes, doppler in zip(panels, numbers.cases(results), strict=True):
         theirs = None if paper is None else paper.correct_weight_at(doppler)
         for name, look in looks(results.plan.filters).items():
             ours = numbers.curve(results, name, doppler, "correct_weight")
@@ -150,7 +149,6 @@ def _association(results: Results) -> Figure:
         axes.set_title(condition(doppler))
         axes.set_ylim(0.0, 1.03)
         axes.legend(loc="lower right")
-    panels[0, 0].set_ylabel("weight of the correct association")
     return figure
 
 
@@ -159,7 +157,7 @@ def _rmse(results: Results) -> Figure:
     bars, cases = _bars(results), numbers.cases(results)
     rows = list(dict.fromkeys(bar.look for bar in bars))
     thick, colours = 0.8 / len(cases), doppler_colours(len(cases))
-    figure, panels = grid(1, len(QUANTITIES), 1.2 + 0.22 * len(rows) * len(cases))
+    figure, panels = grid(1, len(QUANTITIES), 1.2 + 0.22 * len(rows) * len(cases), "all")
     for place, (axes, quantity) in enumerate(zip(panels[0], QUANTITIES, strict=True)):
         reach = 1.35 * _longest(bars, place)
         for bar in bars:
@@ -188,9 +186,10 @@ def _rmse(results: Results) -> Figure:
 
 def _nees(results: Results) -> Figure:
     """NEES over time, the mean over runs, and where it lies when the covariance is true."""
-    figure, panels = grid(1, len(results.plan.dopplers), 3.9)
-    ends = numbers.mean_square_band(len(results.run_numbers), numbers.STATE_SIZE)
-    for axes, doppler in zip(panels[0], numbers.cases(results), strict=True):
+    runs = len(results.run_numbers)
+    figure, panels = pairs(len(results.plan.dopplers), 3.9, f"NEES, mean over {runs} runs")
+    ends = numbers.mean_square_band(runs, numbers.STATE_SIZE)
+    for axes, doppler in zip(panels, numbers.cases(results), strict=True):
         band(axes, ends, numbers.STATE_SIZE, "95 % band of a true covariance")
         log_scale(axes)
         for name, look in looks(results.plan.filters).items():
@@ -198,7 +197,6 @@ def _nees(results: Results) -> Figure:
             if ours is not None:
                 line(axes, ours.mean, look)
         axes.set_title(condition(doppler))
-    panels[0, 0].set_ylabel(f"NEES, mean over {len(results.run_numbers)} runs")
     legend(figure, panels, 4)
     return figure
 
@@ -209,7 +207,7 @@ def _error_over_bound(results: Results) -> Figure:
     The band is of a Gaussian error in one dimension whose variance is the bound; that of the
     position, which has two dimensions, is narrower.
     """
-    figure, panels = grid(3, len(results.plan.dopplers), 6.8)
+    figure, panels = grid(3, len(results.plan.dopplers), 6.8, "row")
     low, high = numbers.mean_square_band(len(results.run_numbers), 1)
     ends = numbers.Band(math.sqrt(low), math.sqrt(high))
     for column, doppler in zip(panels.T, numbers.cases(results), strict=True):
@@ -271,7 +269,7 @@ def _bars(results: Results) -> list[Bar]:
             bars.append(Bar(look, doppler, rmse, bound))
         theirs = None if paper is None else paper.rmse_at(doppler)
         if theirs is not None:
-            bars.append(Bar(PUBLISHED, doppler, theirs, bound))
+            bars.append(Bar(PUBLISHED, doppler, theirs, bound))  # of the same runs for all
     beside = looks(_filters(results, COMPARED)).values()
     return sorted(bars, key=lambda bar: (bar.look not in beside, bar.look != PUBLISHED))
 
