@@ -238,12 +238,12 @@ def _bounds(options: Any) -> int:
 
 def _figures(options: Any) -> int:
     from dopslam_ros.figures.paper import draw_study, missing
-    from dopslam_ros.figures.ratios import all_ratios, write_ratios
+    from dopslam_ros.figures.ratios import write_ratios
 
     results = load_results(options.study)
     options.out.mkdir(parents=True, exist_ok=True)
     names = draw_study(results, options.out)
-    write_ratios(all_ratios(results), options.out)
+    write_ratios(results, options.out)
     print(f"in {options.out}: {', '.join(names)} (.png, .svg); ratios (.md, .csv, .json)")
     for text in missing(results):
         print(f"missing: {text}")

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import matplotlib.image
@@ -18,6 +20,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from scipy.stats import gamma
 
+from dopslam_ros.cli import main
 from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.figures.numbers import mean_square_band
 from dopslam_ros.figures.paper import FIGURES, draw_study, missing
@@ -28,10 +31,12 @@ from dopslam_ros.study.plan import Plan
 from dopslam_ros.study.results import Results
 from dopslam_ros.study.run import FIELDS
 
+if TYPE_CHECKING:
+    from tests.conftest import Processes
+
 RUNS, STEPS = 7, 40
 FILTERS = ("dead_reckoning", "joint", "genie", "marginal")
 TABLES = ("ratios.md", "ratios.csv", "ratios.json")
-# Beside the filters, the place of each number: position, heading, clock bias.
 PEB, HEB, CEB = 0.25, math.radians(0.2), 0.1
 
 
@@ -67,7 +72,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("figures")
     results = made_up()
     assert draw_study(results, folder) == list(FIGURES)
-    write_ratios(all_ratios(results), folder)
+    write_ratios(results, folder)
     return folder
 
 
@@ -105,18 +110,10 @@ def test_every_figure_is_there_in_both_formats(written: Path) -> None:
         assert 0.01 < (image < 0.95).any(axis=2).mean() < 0.6
         root = ElementTree.parse(written / f"{name}.svg").getroot()
         assert root.tag.endswith("svg") and len(list(root.iter())) > 100
-    assert not plt.get_fignums()
-
-
-def test_the_same_study_gives_the_same_bytes(written: Path, tmp_path: Path) -> None:
-    """Whatever was drawn before it; nothing in the files tells the time."""
-    results = made_up()
-    draw_study(results, tmp_path)
-    write_ratios(all_ratios(results), tmp_path)
     for path in written.iterdir():
-        content = path.read_bytes()
-        assert (tmp_path / path.name).read_bytes() == content, path.name
-        assert not any(word in content for word in (b"<dc:date>", b"tIME", b"Creation Time"))
+        marks = (b"<dc:date>", b"tIME", b"Creation Time")
+        assert not any(mark in path.read_bytes() for mark in marks), "tells the time"
+    assert not plt.get_fignums()
 
 
 # --- what is drawn -------------------------------------------------------------------------------
@@ -278,11 +275,13 @@ def test_what_is_missing_is_told() -> None:
     )
 
 
-def test_a_figure_of_nothing_is_left_out(tmp_path: Path) -> None:
+def test_a_figure_of_nothing_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a filter that makes a map and associations, three figures have nothing."""
-    results = made_up(("genie",))
-    assert draw_study(results, tmp_path) == ["bounds", "rmse", "nees", "error_over_bound"]
-    assert len(list(tmp_path.iterdir())) == 8
+    results, saved = made_up(("genie",)), []
+    monkeypatch.setattr("dopslam_ros.figures.paper.save", lambda *args: saved.append(args[1:]))
+    names = draw_study(results, tmp_path)
+    assert names == ["bounds", "rmse", "nees", "error_over_bound"]
+    assert saved == [(tmp_path, name) for name in names]
     assert "figure gospa_va, which shows joint, marginal" in missing(results)
     assert any(text.startswith("figure association") for text in missing(results))
 
@@ -384,8 +383,65 @@ def test_the_three_tables_say_the_same(written: Path) -> None:
     assert [float(line["ratio"]) for line in table] == [row.ratio for row in rows]
     assert {line["sigma_d"] for line in table} >= {"0.1", "without"}
     text = (written / "ratios.md").read_text("utf-8")
+    assert f"{RUNS} runs of scene 'paper', seed 1." in text
     assert "| sigma_d [m/s] | step | quantity | published | joint | marginal | genie |" in text
     place = ("gospa_sp", 9, "joint", 0.1)
     (row,) = (r for r in rows if (r.figure, r.step, r.filter, r.sigma_d) == place)
     assert f"| 0.1 | 9 | GOSPA [m] | 20.09 | {row.ours:#.4g} ({row.ratio:.3f}) |" in text
     assert text.count("\n## ") == 5
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory, scene: Path) -> Path:
+    """A folder with a real study of a short scene; to be read only."""
+    folder = tmp_path_factory.mktemp("study") / "short"
+    asked = ["--filters", "joint", "genie", "--doppler", "0.1", "none", "--runs", "2"]
+    assert main(["study", "--scenario", str(scene), *asked, "--workers=1", f"--out={folder}"]) == 0
+    return folder
+
+
+def test_a_study_is_drawn(
+    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], processes: Processes
+) -> None:
+    """The folder that one command writes, the other draws; another process, the same bytes."""
+    capsys.readouterr()
+    out = tmp_path / "new" / "figures"
+    assert main(["figures", str(study), "--out", str(out)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith(f"in {out}: bounds, gospa_va, gospa_sp, rmse, association, nees")
+    assert all(line.startswith("missing: ") for line in said[1:])
+    assert "missing: filter marginal" in said
+    assert "missing: genie in figure association" in said
+    assert len(list(out.iterdir())) == 2 * len(FIGURES) + 3
+    again = tmp_path / "again"
+    process = processes.dopslam("figures", study, "--out", again)
+    assert process.wait() == 0, process.stderr
+    for path in out.iterdir():
+        assert (again / path.name).read_bytes() == path.read_bytes(), path.name
+
+
+def test_a_folder_that_holds_no_study_is_refused(
+    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line that says what is wrong, and nothing is made."""
+    (tmp_path / "empty").mkdir()
+    shutil.copytree(study, tmp_path / "damaged")
+    part = next((tmp_path / "damaged" / "parts").rglob("*.npz"))
+    part.write_bytes(part.read_bytes()[:100])
+    shutil.copytree(study, tmp_path / "begun")
+    shutil.rmtree(tmp_path / "begun" / "parts" / "joint")
+    capsys.readouterr()
+    for name, words in (
+        ("nowhere", "holds no study"),
+        ("empty", "holds no study"),
+        ("damaged", f"'{part}' is damaged"),
+        ("begun", "no run of the study is done by every filter"),
+    ):
+        out = tmp_path / "out"
+        assert main(["figures", str(tmp_path / name), "--out", str(out)]) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("dopslam: ") and words in line
+        assert not out.exists()

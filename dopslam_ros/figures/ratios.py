@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Iterator
 from io import StringIO
 from itertools import groupby
@@ -12,6 +11,7 @@ from typing import Any, NamedTuple
 
 from dopslam_ros.figures import numbers
 from dopslam_ros.figures.style import looks
+from dopslam_ros.files import json_text
 from dopslam_ros.published import Kind, Published, published
 from dopslam_ros.study.results import Results
 
@@ -72,16 +72,18 @@ def all_ratios(results: Results) -> list[Ratio]:
     return sorted(rows, key=lambda row: order.index(row.figure))
 
 
-def write_ratios(rows: list[Ratio], folder: Path) -> None:
-    """Writes ratios.md, ratios.csv and ratios.json.
+def write_ratios(results: Results, folder: Path) -> None:
+    """Writes ``all_ratios`` as ratios.md, ratios.csv and ratios.json.
 
     Raises:
         OSError: they cannot be written.
     """
+    rows = all_ratios(results)
     records = [row.record() for row in rows]
-    (folder / "ratios.md").write_text(_markdown(rows), "utf-8")
-    content = json.dumps({"rows": records}, indent=1, allow_nan=False)
-    (folder / "ratios.json").write_text(content + "\n", "utf-8")
+    plan, runs = results.plan, len(results.run_numbers)
+    head = f"{runs} runs of scene '{plan.scenario.name}', seed {plan.seed}. In brackets, ours over"
+    (folder / "ratios.md").write_text(_markdown(rows, f"{head} theirs."), "utf-8")
+    (folder / "ratios.json").write_text(json_text({"rows": records}), "utf-8")
     text = StringIO()
     writer = csv.DictWriter(text, [*Ratio._fields, "ratio"], lineterminator="\n")
     writer.writeheader()
@@ -127,8 +129,8 @@ def _of_filter(
                 yield Ratio(figure, "GOSPA", "m", sigma_d, step, name, *pair)
 
 
-def _markdown(rows: list[Ratio]) -> str:
-    parts = ["# Ours beside the paper's\n\nIn brackets, ours over theirs.\n"]
+def _markdown(rows: list[Ratio], head: str) -> str:
+    parts = [f"# Ours beside the paper's\n\n{head}\n"]
     for figure, group in groupby(rows, key=lambda row: row.figure):
         parts.append(f"\n## {TITLES[figure]}\n\n" + _table(list(group)))
     return "".join(parts)
