@@ -9,6 +9,7 @@ import numpy as np
 from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices, symmetrise
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import placement
+from dopslam_ros.core.filter.undetected import Undetected, nothing_seen
 from dopslam_ros.core.model import OnlineParameters
 from dopslam_ros.core.parameters import parameter
 
@@ -108,7 +109,7 @@ class FilterState:
         component_weight: (C,) probability of the type, given that the track exists.
         track_id: (T,) stable ids, from 1 on (0 is the BS).
         existence: (T,) probability that the landmark exists, r.
-        undetected: (2,) intensity of undetected landmarks of UNKNOWN_TYPES [1/m^3].
+        undetected: where landmarks never detected may still be.
         next_id: the id of the next new track.
     """
 
@@ -121,7 +122,7 @@ class FilterState:
     component_weight: FloatArray
     track_id: IntArray
     existence: FloatArray
-    undetected: FloatArray
+    undetected: Undetected
     next_id: int
 
     @property
@@ -180,7 +181,7 @@ def initial_filter_state(parameters: FilterParameters) -> FilterState:
         component_weight=np.zeros(0),
         track_id=none,
         existence=np.zeros(0),
-        undetected=np.full(len(UNKNOWN_TYPES), parameters.undetected_intensity),
+        undetected=nothing_seen(),
         next_id=1,
     )
 

@@ -20,7 +20,7 @@ from dopslam_ros.core.filter import (
     step,
 )
 from dopslam_ros.core.filter.placement import frames, placements
-from dopslam_ros.core.filter.step import predict, undetected_after_miss
+from dopslam_ros.core.filter.step import predict
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import Control, ControlSpan
 from dopslam_ros.core.scenario import load_scenario
@@ -186,16 +186,6 @@ def test_an_empty_set_before_anything_is_known() -> None:
     outcome = step(initial_filter_state(parameters), empty_set(), [], SPEED, parameters)
     np.testing.assert_array_equal(outcome.state.mean, parameters.initial_state)
     np.testing.assert_allclose(outcome.state.covariance, parameters.initial_covariance)
-
-
-def test_undetected_vas_thin_out_down_to_the_floor_and_sps_stay() -> None:
-    parameters = FilterParameters()
-    state = initial_filter_state(parameters)
-    once = undetected_after_miss(state, parameters)
-    np.testing.assert_allclose(once.undetected, [1.5e-6, 1.5e-5])
-    for _ in range(10):
-        state = undetected_after_miss(state, parameters)
-    np.testing.assert_allclose(state.undetected, [1.5e-8, 1.5e-5])
 
 
 def test_a_path_far_from_everything_becomes_a_new_landmark_with_a_new_id() -> None:
