@@ -43,7 +43,7 @@ from dopslam_ros.core.filter.state import (
     LandmarkEstimates,
     initial_filter_state,
 )
-from dopslam_ros.core.filter.step import undetected_after_miss
+from dopslam_ros.core.filter.undetected import Undetected, looked_from, nothing_seen
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import detection_probabilities, log_clutter_intensity
 from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
@@ -65,7 +65,7 @@ class PhdState:
         means: (C, 3) [m].
         covariances: (C, 3, 3) [m^2].
         types: (C,) VA or SP.
-        undetected: (2,) uniform part of the intensity, by UNKNOWN_TYPES [1/m^3].
+        undetected: where the intensity is still that of landmarks never detected.
     """
 
     ue_mean: FloatArray
@@ -74,7 +74,7 @@ class PhdState:
     means: FloatArray
     covariances: FloatArray
     types: IntArray
-    undetected: FloatArray
+    undetected: Undetected
 
 
 def initial_phd(parameters: FilterParameters) -> PhdState:
@@ -86,7 +86,7 @@ def initial_phd(parameters: FilterParameters) -> PhdState:
         means=np.zeros((0, 3)),
         covariances=np.zeros((0, 3, 3)),
         types=np.zeros(0, dtype=np.int64),
-        undetected=np.full(len(UNKNOWN_TYPES), parameters.undetected_intensity),
+        undetected=nothing_seen(),
     )
 
 
@@ -119,7 +119,7 @@ def phd_step(
         ue_mean,
         vehicle.covariance,
         *_heaviest(_merged(components)),
-        undetected=undetected_after_miss(without_map, parameters).undetected,
+        undetected=looked_from(state.undetected, ue_mean[:2], parameters),
     )
 
 
