@@ -14,6 +14,7 @@ import numpy as np
 from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices, symmetrise, wrap_angle
 from dopslam_ros.core.bounds import DIFFUSE_STD
 from dopslam_ros.core.channel import DIM, LandmarkType, observe
+from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.birth import propose
 from dopslam_ros.core.filter.evidence import Observed, masked_residual, prepare
 from dopslam_ros.core.filter.state import (
@@ -31,17 +32,26 @@ ITERATIONS = 5
 
 @dataclass(frozen=True)
 class GenieState:
-    """Joint Gaussian over [s; x of the landmarks seen].
+    """Joint Gaussian over [s; q of the landmarks seen], q as in ``filter.placement``.
 
     Attributes:
         mean: (4 + 3 L,).
         covariance: (4 + 3 L, 4 + 3 L).
+        origin: (L, 3) of the landmarks' frames [m].
+        axes: (L, 3, 3).
         sources: (L,) source number of each landmark, as in Snapshot.sources.
     """
 
     mean: FloatArray
     covariance: FloatArray
+    origin: FloatArray
+    axes: FloatArray
     sources: IntArray
+
+    @property
+    def positions(self) -> FloatArray:
+        """(L, 3) of the landmarks [m]."""
+        return placement.positions(self.origin, self.axes, self.mean[UE:].reshape(-1, 3))
 
 
 def initial_genie(parameters: FilterParameters) -> GenieState:
@@ -49,6 +59,8 @@ def initial_genie(parameters: FilterParameters) -> GenieState:
     return GenieState(
         np.array(parameters.initial_state),
         parameters.initial_covariance,
+        np.zeros((0, 3)),
+        np.zeros((0, 3, 3)),
         np.zeros(0, dtype=np.int64),
     )
 
@@ -80,7 +92,7 @@ def genie_step(
     observed = prepare(
         MeasurementSet(measurements.values[real], measurements.covariances[real]), parameters
     )
-    predicted = GenieState(mean, covariance, state.sources)
+    predicted = replace(state, mean=mean, covariance=covariance)
     ready, kept = _with_new_landmarks(predicted, observed, sources[real], types, speed, parameters)
     observed = Observed(observed.values[kept], observed.used[kept], observed.noise[kept])
     return _update(ready, observed, sources[real][kept], types, speed, parameters)
@@ -110,12 +122,22 @@ def _with_new_landmarks(
         if np.isfinite(births.log_intensity[kind, path]):
             kept.append(path)
             new.append((source, births.position[kind, path]))
+    position = np.array([position for _, position in new]).reshape(-1, 3)
+    origin = np.tile(np.append(state.mean[:2], parameters.ue_height), (len(new), 1))
+    axes = placement.frames(position - origin)
+    q = placement.placements(origin, axes, position)
+    std = DIFFUSE_STD / np.stack([np.ones(len(new)), q[:, 0], q[:, 0]], axis=1)
     old = len(state.mean)
-    covariance = np.eye(old + 3 * len(new)) * DIFFUSE_STD**2
+    covariance = np.diag(np.concatenate([np.zeros(old), std.ravel() ** 2]))
     covariance[:old, :old] = state.covariance
-    mean = np.concatenate([state.mean, *(position for _, position in new)])
-    known = np.concatenate([state.sources, [source for source, _ in new]]).astype(np.int64)
-    return GenieState(mean, covariance, known), np.array(kept, dtype=np.int64)
+    ready = GenieState(
+        mean=np.concatenate([state.mean, q.ravel()]),
+        covariance=covariance,
+        origin=np.concatenate([state.origin, origin]),
+        axes=np.concatenate([state.axes, axes]),
+        sources=np.concatenate([state.sources, [source for source, _ in new]]).astype(np.int64),
+    )
+    return ready, np.array(kept, dtype=np.int64)
 
 
 def _update(
@@ -130,8 +152,11 @@ def _update(
         return state
     size, count = len(state.mean), len(sources)
     is_bs = sources == 0
-    place = np.array([0 if s == 0 else int(np.flatnonzero(state.sources == s)[0]) for s in sources])
-    columns = block_indices(UE, place, 3)
+    # Row 0 is the BS, then the landmarks.
+    row = np.array(
+        [0 if s == 0 else 1 + int(np.flatnonzero(state.sources == s)[0]) for s in sources]
+    )
+    columns = block_indices(UE, row - 1, 3)
     kinds = np.where(is_bs, int(LandmarkType.BS), types[sources])
     noise = np.zeros((count * DIM, count * DIM))
     for number in range(count):
@@ -139,12 +164,16 @@ def _update(
         noise[block, block] = observed.noise[number]
     mean = state.mean
     for _ in range(ITERATIONS):
-        positions = np.where(is_bs[:, None], parameters.bs, mean[np.minimum(columns, size - 1)])
-        paths = observe(mean[:UE], speed, positions, kinds, parameters.bs, parameters.ue_height)
+        q = mean[UE:].reshape(-1, 3)
+        places = np.vstack([parameters.bs, placement.positions(state.origin, state.axes, q)])
+        to_position = placement.jacobians(state.axes, q)
+        paths = observe(mean[:UE], speed, places[row], kinds, parameters.bs, parameters.ue_height)
         blocks = np.zeros((count, DIM, size))
         blocks[:, :, :UE] = paths.ue_jacobian
         for path in np.flatnonzero(~is_bs):
-            blocks[path][:, columns[path]] = paths.landmark_jacobian[path]
+            blocks[path][:, columns[path]] = (
+                paths.landmark_jacobian[path] @ to_position[row[path] - 1]
+            )
         rows = (blocks * observed.used[:, :, None]).reshape(-1, size)
         innovation = masked_residual(observed, paths.mean).ravel()
         innovation = innovation + rows @ _difference(mean, state.mean)
@@ -155,7 +184,7 @@ def _update(
     covariance = symmetrise(keep @ state.covariance @ keep.T + gain @ noise @ gain.T)
     mean = mean.copy()
     mean[2] = wrap_angle(mean[2])
-    return GenieState(mean, covariance, state.sources)
+    return replace(state, mean=mean, covariance=covariance)
 
 
 def _difference(mean: FloatArray, prior: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from dopslam_ros.core.filter.evidence import (
     masked_residual,
 )
 from dopslam_ros.core.filter.state import UE, UNKNOWN_TYPES, FilterParameters, FilterState
+from dopslam_ros.core.filter.undetected import log_share_left
 from dopslam_ros.core.model import detection_probabilities
 
 GAUSS_NEWTON_STEPS = 6
@@ -78,9 +79,11 @@ def propose(
     detection = detection_probabilities(parameters, ue, position, types, spread)
     known = np.trace(fit.covariance, axis1=1, axis2=2) < LARGEST_STD**2
     good = np.tile(located, 2) & known & fit.paths.facing & (detection > 0.0)
-    intensity = np.repeat(state.undetected, count)
     log_intensity = (
-        np.log(intensity)
+        np.log(parameters.undetected_intensity)
+        + log_share_left(
+            state.undetected, position, types, spread, parameters, parameters.undetected_floor
+        )
         + np.log(np.where(good, detection, 1.0))
         + 0.5 * (3.0 * LOG_2PI - fit.log_information)
         - 0.5 * (fit.mismatch + fit.log_noise + log_normaliser(both))

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices
+from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices, symmetrise
 from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.filter import placement
+from dopslam_ros.core.filter.undetected import Undetected, nothing_seen
 from dopslam_ros.core.model import OnlineParameters
 from dopslam_ros.core.parameters import parameter
 
@@ -94,28 +96,33 @@ class FilterState:
     """The PMB density: a Gaussian over vehicle and landmark components, the rest per landmark.
 
     A landmark (track) has a component for each type it may still be. The joint vector is
-    [s; x_1 ... x_C]; with ``coupling: marginal`` the covariance is block diagonal between steps.
+    [s; q_1 ... q_C], q the range and direction of a component in its own frame (see
+    ``placement``); with ``coupling: marginal`` the covariance is block diagonal between steps.
 
     Attributes:
-        mean: (4 + 3 C,) x [m], y [m], heading [rad], clock bias [m], then positions [m].
+        mean: (4 + 3 C,) x [m], y [m], heading [rad], clock bias [m], then q of the components.
         covariance: (4 + 3 C, 4 + 3 C).
+        origin: (C, 3) where the frames of the components are [m].
+        axes: (C, 3, 3) their axes, in columns.
         component_track: (C,) index of the track each component belongs to, ascending.
         component_type: (C,) VA or SP.
         component_weight: (C,) probability of the type, given that the track exists.
         track_id: (T,) stable ids, from 1 on (0 is the BS).
         existence: (T,) probability that the landmark exists, r.
-        undetected: (2,) intensity of undetected landmarks of UNKNOWN_TYPES [1/m^3].
+        undetected: where landmarks never detected may still be.
         next_id: the id of the next new track.
     """
 
     mean: FloatArray
     covariance: FloatArray
+    origin: FloatArray
+    axes: FloatArray
     component_track: IntArray
     component_type: IntArray
     component_weight: FloatArray
     track_id: IntArray
     existence: FloatArray
-    undetected: FloatArray
+    undetected: Undetected
     next_id: int
 
     @property
@@ -129,20 +136,36 @@ class FilterState:
         return self.covariance[:UE, :UE]
 
     @property
-    def positions(self) -> FloatArray:
-        """(C, 3) component means."""
+    def placements(self) -> FloatArray:
+        """(C, 3) q of the components."""
         return self.mean[UE:].reshape(-1, 3)
 
     @property
-    def position_covariances(self) -> FloatArray:
-        """(C, 3, 3) component covariances."""
+    def placement_covariances(self) -> FloatArray:
+        """(C, 3, 3) covariances of q."""
         index = block_indices(UE, np.arange(len(self.component_track)), 3)
         return self.covariance[index[:, :, None], index[:, None, :]]
 
     @property
-    def cross_covariances(self) -> FloatArray:
-        """(C, 4, 3) covariances between the vehicle and each component."""
+    def placement_cross_covariances(self) -> FloatArray:
+        """(C, 4, 3) covariances between the vehicle and q."""
         return np.moveaxis(self.covariance[:UE, UE:].reshape(UE, -1, 3), 1, 0)
+
+    @property
+    def positions(self) -> FloatArray:
+        """(C, 3) where the components are [m]."""
+        return placement.positions(self.origin, self.axes, self.placements)
+
+    @property
+    def position_jacobians(self) -> FloatArray:
+        """(C, 3, 3) derivatives of the positions with respect to q."""
+        return placement.jacobians(self.axes, self.placements)
+
+    @property
+    def position_covariances(self) -> FloatArray:
+        """(C, 3, 3) covariances of the positions, to first order [m^2]."""
+        jacobian = self.position_jacobians
+        return symmetrise(jacobian @ self.placement_covariances @ np.swapaxes(jacobian, 1, 2))
 
 
 def initial_filter_state(parameters: FilterParameters) -> FilterState:
@@ -151,12 +174,14 @@ def initial_filter_state(parameters: FilterParameters) -> FilterState:
     return FilterState(
         mean=np.array(parameters.initial_state),
         covariance=parameters.initial_covariance,
+        origin=np.zeros((0, 3)),
+        axes=np.zeros((0, 3, 3)),
         component_track=none,
         component_type=none,
         component_weight=np.zeros(0),
         track_id=none,
         existence=np.zeros(0),
-        undetected=np.full(len(UNKNOWN_TYPES), parameters.undetected_intensity),
+        undetected=nothing_seen(),
         next_id=1,
     )
 

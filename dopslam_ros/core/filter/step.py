@@ -9,9 +9,9 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, wrap_angle
 from dopslam_ros.core.assignment import UNASSIGNED
-from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import birth, evidence, hypotheses, update
-from dopslam_ros.core.filter.state import UE, UNKNOWN_TYPES, FilterParameters, FilterState
+from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
+from dopslam_ros.core.filter.undetected import looked_from
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
 
@@ -147,10 +147,12 @@ def condition(
 
 def finish(state: FilterState, parameters: FilterParameters) -> FilterState:
     """A posterior density made ready for the next step."""
-    pruned = update.prune(undetected_after_miss(state, parameters), parameters)
+    pruned = update.prune(state, parameters)
     mean = pruned.mean.copy()
     mean[2] = wrap_angle(mean[2])
-    return replace(pruned, mean=mean)
+    return replace(
+        pruned, mean=mean, undetected=looked_from(state.undetected, mean[:2], parameters)
+    )
 
 
 def predict(
@@ -163,19 +165,6 @@ def predict(
     mean = np.concatenate([ue, state.mean[UE:]])
     covariance = predict_covariance(state.covariance, jacobian, noise)
     return replace(state, mean=mean, covariance=covariance)
-
-
-def undetected_after_miss(state: FilterState, parameters: FilterParameters) -> FilterState:
-    """lambda <- (1 - p_D) lambda where a detection was possible.
-
-    VAs are in view from everywhere, so each snapshot thins out those never detected, down to a
-    floor. SPs are not: the field of view moves on, and in what it has not covered yet the intensity
-    is what it was, so theirs stays.
-    """
-    floor = parameters.undetected_floor * parameters.undetected_intensity
-    always_seen = np.array(UNKNOWN_TYPES) == LandmarkType.VA
-    thinned = np.maximum(state.undetected * (1.0 - parameters.detection_probability), floor)
-    return replace(state, undetected=np.where(always_seen, thinned, state.undetected))
 
 
 def associations_of(ranked: Ranked, conditioned: Conditioned) -> Associations:

@@ -9,6 +9,7 @@ import numpy as np
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.channel import DIM
+from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.birth import Births
 from dopslam_ros.core.filter.evidence import Evidence, Observed
 from dopslam_ros.core.filter.hypotheses import Hypotheses, LocalWeights
@@ -83,18 +84,23 @@ def augment(
     # Sorted by track, then type: (number of the birth, type).
     which, kind = np.nonzero(share.T)
     tracks = len(state.track_id)
-    mean, covariance = _append_components(
-        state,
-        births.position[kind, born[which]],
-        births.covariance[kind, born[which]],
-        births.gain[kind, born[which]],
-    )
+    position = births.position[kind, born[which]]
+    origin = np.tile(np.append(state.ue_mean[:2], parameters.ue_height), (len(position), 1))
+    axes = placement.frames(position - origin)
+    q = placement.placements(origin, axes, position)
+    to_position = placement.jacobians(axes, q)
+    half = np.asarray(np.linalg.solve(to_position, births.covariance[kind, born[which]]))
+    spread = np.asarray(np.linalg.solve(to_position, np.swapaxes(half, 1, 2)), np.float64)
+    gain = np.asarray(np.linalg.solve(to_position, births.gain[kind, born[which]]), np.float64)
+    mean, covariance = _append_components(state, q, symmetrise(spread), gain)
     birth_track = np.full(len(existence), UNASSIGNED, dtype=np.int64)
     birth_track[born] = tracks + np.arange(len(born))
     augmented = replace(
         state,
         mean=mean,
         covariance=covariance,
+        origin=np.concatenate([state.origin, origin]),
+        axes=np.concatenate([state.axes, axes]),
         component_track=np.concatenate([state.component_track, tracks + which]),
         component_type=np.concatenate([state.component_type, np.array(UNKNOWN_TYPES)[kind]]),
         component_weight=np.concatenate([state.component_weight, share[kind, which]]),
@@ -122,8 +128,6 @@ def condition(
         assigned[:, :, None], evidence.innovation[source, taken[None, :]], 0.0
     ).reshape(len(source), -1)
     noise = np.where(assigned[:, :, None, None], observed.noise[taken], np.eye(DIM))
-    with_length = assigned & observed.used[taken, 0]
-    noise[:, :, 0, 0] += np.where(with_length, evidence.curvature[source], 0.0)
 
     projected = rows @ state.covariance
     s = projected @ np.swapaxes(rows, 1, 2)
@@ -248,6 +252,8 @@ def prune(state: FilterState, parameters: FilterParameters) -> FilterState:
         state,
         mean=state.mean[index],
         covariance=state.covariance[np.ix_(index, index)],
+        origin=state.origin[kept],
+        axes=state.axes[kept],
         component_track=track,
         component_type=state.component_type[kept],
         component_weight=weight,
@@ -257,10 +263,10 @@ def prune(state: FilterState, parameters: FilterParameters) -> FilterState:
 
 
 def _append_components(
-    state: FilterState, positions: FloatArray, covariances: FloatArray, gains: FloatArray
+    state: FilterState, q: FloatArray, covariances: FloatArray, gains: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance with new components behind the old ones."""
-    old, new = len(state.mean), 3 * len(positions)
+    old, new = len(state.mean), 3 * len(q)
     stacked = gains.reshape(-1, UE)
     joint = np.zeros((old + new, old + new))
     joint[:old, :old] = state.covariance
@@ -270,7 +276,7 @@ def _append_components(
     for number, covariance in enumerate(covariances):
         block = slice(old + 3 * number, old + 3 * number + 3)
         joint[block, block] = covariance
-    return np.concatenate([state.mean, positions.ravel()]), joint
+    return np.concatenate([state.mean, q.ravel()]), joint
 
 
 def _measurement_rows(
@@ -280,16 +286,16 @@ def _measurement_rows(
     hypotheses, paths = source.shape
     counts = assigned[:, :, None, None] & used[None, :, :, None]
     rows = np.zeros((hypotheses, paths, DIM, size))
-    rows[..., :UE] = np.where(counts, evidence.paths.ue_jacobian[source], 0.0)
+    rows[..., :UE] = np.where(counts, evidence.ue_jacobian[source], 0.0)
     h, j = np.nonzero(source > 0)
     columns = block_indices(UE, source[h, j] - 1, 3)
-    blocks = np.where(counts[h, j], evidence.paths.landmark_jacobian[source[h, j]], 0.0)
+    blocks = np.where(counts[h, j], evidence.landmark_jacobian[source[h, j]], 0.0)
     rows[h[:, None], j[:, None], :, columns] = np.swapaxes(blocks, 1, 2)
     return rows.reshape(hypotheses, paths * DIM, size)
 
 
 def _uncoupled(state: FilterState) -> FilterState:
     """The marginal form of the paper: no covariance between vehicle, landmarks and types."""
-    block = np.concatenate([np.zeros(UE), 1 + np.repeat(np.arange(len(state.positions)), 3)])
+    block = np.concatenate([np.zeros(UE), 1 + np.repeat(np.arange(len(state.origin)), 3)])
     same = block[:, None] == block[None, :]
     return replace(state, covariance=np.where(same, state.covariance, 0.0))

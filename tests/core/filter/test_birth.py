@@ -14,6 +14,7 @@ from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filte
 from dopslam_ros.core.filter.birth import Births, initial_incidence_points, propose
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import UNKNOWN_TYPES
+from dopslam_ros.core.filter.undetected import looked_from, nothing_seen
 from dopslam_ros.core.measurements import MeasurementSet
 
 SPEED = 22.22
@@ -233,10 +234,12 @@ def test_intensity_at_the_edge_of_the_field_of_view_against_integration() -> Non
 
 
 def test_the_intensity_is_proportional_to_what_is_left_undetected() -> None:
-    values = h(STATE.ue_mean, VA[None], 0)
-    less = replace(STATE, undetected=STATE.undetected * np.array([0.1, 1.0]))
-    ratio = fit(values, less).log_intensity - fit(values).log_intensity
-    assert ratio[0, 0] == pytest.approx(math.log(0.1))
+    looked = looked_from(nothing_seen(), STATE.ue_mean[:2], PARAMETERS)
+    after = replace(STATE, undetected=looked)
+    for kind, place in ((0, VA), (1, SP)):  # both in view
+        values = h(STATE.ue_mean, place[None], kind)
+        ratio = fit(values, after).log_intensity - fit(values).log_intensity
+        assert ratio[kind, 0] == pytest.approx(math.log(0.1))
 
 
 def test_a_path_from_beyond_the_field_of_view_is_no_sp() -> None:

@@ -15,6 +15,7 @@ from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filte
 from dopslam_ros.core.filter.birth import Births, propose
 from dopslam_ros.core.filter.evidence import gaussian_terms, prepare, weigh
 from dopslam_ros.core.filter.hypotheses import local_weights
+from dopslam_ros.core.filter.placement import frames, placements, positions
 from dopslam_ros.core.measurements import MeasurementSet
 
 PARAMETERS = FilterParameters(gate_probability=1.0 - 1e-12)
@@ -33,16 +34,21 @@ MASKS = [
 def two_track_state(seed: int = 0) -> FilterState:
     """A VA-or-SP track and an SP track; everything correlated with everything."""
     rng = np.random.default_rng(seed)
-    mean = np.array([70.0, 1.0, 1.5, 300.0, 200.0, 3.0, 38.0, 98.0, 2.0, 12.0, 90.0, -25.0, 8.0])
+    ue = np.array([70.0, 1.0, 1.5, 300.0])
+    position = np.array([[200.0, 3.0, 38.0], [98.0, 2.0, 12.0], [90.0, -25.0, 8.0]])
+    origin = np.array([[60.0, 0.0, 0.0], [65.0, -2.0, 0.0], [72.0, 5.0, 0.0]])
+    axes = frames(position - origin + rng.normal(0.0, 5.0, (3, 3)))
     root = rng.normal(size=(13, 13))
     correlation = root @ root.T + 13.0 * np.eye(13)
     scale = np.sqrt(np.diag(correlation))
-    std = np.array([0.3, 0.3, 0.01, 0.3, *[2.0] * 3, *[1.0] * 6])
+    std = np.array([0.3, 0.3, 0.01, 0.3, 2.0, 0.02, 0.02, *[1.0, 0.03, 0.03] * 2])
     covariance = correlation / np.outer(scale, scale) * np.outer(std, std)
     return replace(
         initial_filter_state(PARAMETERS),
-        mean=mean,
+        mean=np.concatenate([ue, placements(origin, axes, position).ravel()]),
         covariance=covariance,
+        origin=origin,
+        axes=axes,
         component_track=np.array([0, 0, 1]),
         component_type=np.array([1, 2, 2]),
         component_weight=np.array([0.7, 0.3, 1.0]),
@@ -52,46 +58,22 @@ def two_track_state(seed: int = 0) -> FilterState:
     )
 
 
-def sources_of(state: FilterState) -> tuple[FloatArray, FloatArray]:
-    """(C + 1, 6) h and (C + 1, 6, n) its whole Jacobian."""
-    positions = np.vstack([PARAMETERS.bs, state.positions])
+def h(state: FilterState, mean: FloatArray) -> FloatArray:
+    """(C + 1, 6) what would be heard if the joint vector were ``mean``."""
+    moved = replace(state, mean=mean)
+    places = np.vstack([PARAMETERS.bs, moved.positions])
     types = np.concatenate([[0], state.component_type])
-    paths = observe(state.ue_mean, SPEED, positions, types, PARAMETERS.bs)
-    rows = np.zeros((len(types), DIM, len(state.mean)))
-    rows[:, :, :4] = paths.ue_jacobian
-    for source in range(1, len(types)):
-        rows[source, :, 1 + 3 * source : 4 + 3 * source] = paths.landmark_jacobian[source]
-    return paths.mean, rows
+    return observe(moved.ue_mean, SPEED, places, types, PARAMETERS.bs).mean
 
 
-def path_length(state: FloatArray, source: int, types: list[int]) -> float:
-    """Of a source, without the clock, from the whole state vector."""
-    ue, bs = np.array([state[0], state[1], 0.0]), PARAMETERS.bs
-    if source == 0:
-        return float(np.linalg.norm(bs - ue))
-    x = state[1 + 3 * source : 4 + 3 * source]
-    leg = np.linalg.norm(x - bs) if types[source - 1] == 2 else 0.0
-    return float(np.linalg.norm(x - ue) + leg)
-
-
-def length_hessian(state: FilterState, source: int) -> FloatArray:
-    """Second derivatives of the path length by the whole state vector, by differences."""
-    n, step = len(state.mean), 0.01
-    types = state.component_type.tolist()
-    hessian = np.zeros((n, n))
-    active = [0, 1, *range(1 + 3 * source, 4 + 3 * source)] if source else [0, 1]
-    offsets = step * np.eye(n)
-    for i in active:
-        for j in active:
-            corners = [
-                sign
-                * other
-                * path_length(state.mean + sign * offsets[i] + other * offsets[j], source, types)
-                for sign in (1, -1)
-                for other in (1, -1)
-            ]
-            hessian[i, j] = sum(corners) / (4.0 * step**2)
-    return hessian
+def sources_of(state: FilterState) -> tuple[FloatArray, FloatArray]:
+    """(C + 1, 6) h and (C + 1, 6, n) its whole Jacobian by differences."""
+    step = 1e-6
+    rows = [
+        residual(h(state, state.mean + offset), h(state, state.mean - offset)) / (2.0 * step)
+        for offset in step * np.eye(len(state.mean))
+    ]
+    return h(state, state.mean), np.stack(rows, axis=2)
 
 
 def paths_near(state: FilterState, masks: list[list[bool]], seed: int) -> MeasurementSet:
@@ -118,9 +100,6 @@ def density(
     given = measurements.covariances[path]
     noise = given if given.any() else PARAMETERS.noise
     s = rows[source] @ state.covariance @ rows[source].T + noise
-    product = length_hessian(state, source) @ state.covariance
-    s[0, 0] += 0.5 * np.trace(product @ product)
-    mean[source, 0] += 0.5 * np.trace(product)
     s = s[np.ix_(has, has)]
     difference = residual(z, mean[source])[has]
     log_density = multivariate_normal(np.zeros(has.sum()), s).logpdf(difference)
@@ -144,45 +123,30 @@ def test_likelihoods_are_densities_of_what_was_measured(seed: int) -> None:
     assert np.isfinite(fit.log_likelihood[near, np.arange(len(MASKS))]).all()
 
 
-SOURCES = {"BS": 0, "VA": 1, "SP": 2}
-
-
-@pytest.mark.parametrize("name", list(SOURCES))
-def test_curvature_of_the_path_length_against_the_hessian(name: str) -> None:
-    state, source = two_track_state(1), SOURCES[name]
+@pytest.mark.parametrize("seed", range(3))
+def test_jacobians_are_those_of_the_joint_vector(seed: int) -> None:
+    state = two_track_state(seed)
     fit = weigh(state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
-    product = length_hessian(state, source) @ state.covariance
-    expected = 0.5 * np.trace(product @ product)
-    assert fit.curvature[source] == pytest.approx(expected, rel=1e-3)
-
-
-@pytest.mark.parametrize("name", list(SOURCES))
-def test_moments_of_the_path_length_of_a_young_landmark_against_sampling(name: str) -> None:
-    # Known to 0.1 m along the ray and to 4 m across it.
-    source, state = SOURCES[name], two_track_state()
-    covariance = np.diag(np.square([0.3, 0.3, 0.005, 0.3, *[4.0] * 9]))
-    for component in range(3):
-        block = slice(4 + 3 * component, 7 + 3 * component)
-        ray = state.mean[block] - [state.mean[0], state.mean[1], 0.0]
-        if state.component_type[component] == 2:
-            ray = ray / np.linalg.norm(ray) + unit(state.mean[block] - PARAMETERS.bs)
-        along = np.outer(unit(ray), unit(ray))
-        covariance[block, block] = 0.01 * along + 16.0 * (np.eye(3) - along)
-    state = replace(state, covariance=covariance)
-    measurements = MeasurementSet(np.full((1, DIM), 1.0), np.zeros((1, DIM, DIM)))
-    fit = weigh(state, prepare(measurements, PARAMETERS), SPEED, PARAMETERS)
     _, rows = sources_of(state)
-    variance = rows[source, 0] @ covariance @ rows[source, 0] + fit.curvature[source]
-    mean = 1.0 - fit.innovation[source, 0, 0]
-    drawn = np.random.default_rng(0).multivariate_normal(state.mean, covariance, 20_000)
-    types = state.component_type.tolist()
-    lengths = np.array([path_length(s, source, types) + s[3] for s in drawn])
-    assert mean == pytest.approx(lengths.mean(), abs=5.0 * lengths.std() / math.sqrt(20_000))
-    assert variance == pytest.approx(lengths.var(), rel=0.06)
+    np.testing.assert_allclose(fit.ue_jacobian, rows[:, :, :4], atol=2e-6)
+    for source in range(1, 4):
+        block = rows[source, :, 1 + 3 * source : 4 + 3 * source]
+        np.testing.assert_allclose(fit.landmark_jacobian[source], block, atol=2e-5)
 
 
-def unit(vector: FloatArray) -> FloatArray:
-    return np.asarray(vector / np.linalg.norm(vector))
+def test_a_young_landmark_foresees_its_next_path() -> None:
+    """0.1 m along the ray and 8 m across: the innovation's covariance holds for samples of it."""
+    state = two_track_state()
+    q = state.placements
+    std = np.concatenate([[0.3, 0.3, 0.005, 0.3], *([0.1, 8.0 / r, 8.0 / r] for r in q[:, 0])])
+    state = replace(state, covariance=np.diag(std**2))
+    fit = weigh(state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
+    drawn = np.random.default_rng(0).multivariate_normal(state.mean, state.covariance, 4000)
+    lengths = np.array([h(state, mean)[1, 0] for mean in drawn])  # of the VA
+    row = np.concatenate([fit.ue_jacobian[1, 0], fit.landmark_jacobian[1, 0]])
+    variance = row @ state.covariance[:7, :7] @ row
+    assert lengths.var() == pytest.approx(variance, rel=0.1)
+    assert lengths.mean() == pytest.approx(h(state, state.mean)[1, 0], abs=0.05)
 
 
 def no_births(count: int, log_intensity: float = -np.inf) -> Births:
@@ -230,30 +194,40 @@ def test_detection_probabilities_of_sps_fade_at_the_edge_of_the_field_of_view() 
     assert fit.detection[:2].tolist() == [0.9, 0.9]  # BS and VA
     # The SP is 30 m away. Sampling tells how often one drawn at the edge is inside.
     assert fit.detection[2] == pytest.approx(0.9, abs=1e-6)
-    edge = replace(state, mean=state.mean.copy())
-    edge.mean[7:10] = [70.0 + 49.0, 1.0, 5.0]
+    edge = with_sp_at(state, [70.0 + 49.0, 1.0, 5.0])
     p_d = weigh(edge, prepare(paths_near(edge, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
-    drawn = np.random.default_rng(0).multivariate_normal(edge.mean, edge.covariance, 20_000)
-    offset = drawn[:, 7:10] - np.column_stack([drawn[:, :2], np.zeros(len(drawn))])
-    inside = np.mean(np.linalg.norm(offset, axis=1) <= 50.0)
+    inside = share_inside(edge, 20_000)
     assert 0.2 < inside < 0.95
     assert p_d.detection[2] == pytest.approx(0.9 * inside, abs=0.02)
 
 
 @pytest.mark.parametrize("correlation", [-0.9, 0.0, 0.9])
 def test_what_vehicle_and_sp_have_in_common_does_not_blur_the_edge(correlation: float) -> None:
-    state = two_track_state()
+    state = with_sp_at(two_track_state(), [70.0 + 48.5, 1.0, 0.0])
     covariance = np.diag(np.diag(state.covariance))
     covariance[[0, 7], [0, 7]] = 9.0  # both 3 m unsure along the line between them
     covariance[0, 7] = covariance[7, 0] = 9.0 * correlation
-    mean = state.mean.copy()
-    mean[7:10] = [70.0 + 48.5, 1.0, 0.0]
-    state = replace(state, mean=mean, covariance=covariance)
+    state = replace(state, covariance=covariance)
     fit = weigh(state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
-    drawn = np.random.default_rng(0).multivariate_normal(mean, covariance, 40_000)
-    offset = drawn[:, 7:10] - np.column_stack([drawn[:, :2], np.zeros(len(drawn))])
-    inside = np.mean(np.linalg.norm(offset, axis=1) <= 50.0)
-    assert fit.detection[2] == pytest.approx(0.9 * inside, abs=0.02)
+    assert fit.detection[2] == pytest.approx(0.9 * share_inside(state, 40_000), abs=0.02)
+
+
+def with_sp_at(state: FilterState, position: list[float]) -> FilterState:
+    """The first SP component moved, its frame pointing there."""
+    place, origin, axes = np.array([position]), state.origin[1:2], state.axes.copy()
+    axes[1] = frames(place - origin)[0]
+    mean = state.mean.copy()
+    mean[7:10] = placements(origin, axes[1:2], place)[0]
+    return replace(state, mean=mean, axes=axes)
+
+
+def share_inside(state: FilterState, count: int) -> float:
+    """How often the first SP component is in the field of view, by sampling."""
+    drawn = np.random.default_rng(0).multivariate_normal(state.mean, state.covariance, count)
+    repeated = [np.repeat(part[1:2], count, axis=0) for part in (state.origin, state.axes)]
+    offset = positions(*repeated, drawn[:, 7:10])
+    offset[:, :2] -= drawn[:, :2]
+    return float(np.mean(np.linalg.norm(offset, axis=1) <= 50.0))
 
 
 def test_the_gate_drops_what_is_far() -> None:

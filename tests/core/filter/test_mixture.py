@@ -18,12 +18,14 @@ from dopslam_ros.core.filter import (
     step,
 )
 from dopslam_ros.core.measurements import MeasurementSet
+from dopslam_ros.core.model import with_doppler_std
 from dopslam_ros.core.motion import ControlSpan
 from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.core.simulator import Snapshot, simulate
 from dopslam_ros.core.study import filter_parameters_for, run_generator
 
-SCENARIO = load_scenario("paper")
+# Without Doppler and with much clutter, so that the filter doubts.
+SCENARIO = replace(with_doppler_std(load_scenario("paper"), None), clutter_mean=4.0)
 PMBM = filter_parameters_for(SCENARIO, density="pmbm")
 Inputs = list[tuple[MeasurementSet, list[ControlSpan], float]]
 

@@ -10,11 +10,12 @@ import pytest
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.assignment import UNASSIGNED
-from dopslam_ros.core.channel import DIM, Paths
+from dopslam_ros.core.channel import DIM
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
 from dopslam_ros.core.filter.birth import Births
 from dopslam_ros.core.filter.evidence import Evidence, Observed
 from dopslam_ros.core.filter.hypotheses import Hypotheses, LocalWeights
+from dopslam_ros.core.filter.placement import frames
 from dopslam_ros.core.filter.update import (
     Augmented,
     Outcomes,
@@ -45,6 +46,8 @@ def state_of(
         initial_filter_state(PARAMETERS),
         mean=rng.normal(0.0, 5.0, n),
         covariance=random_covariance(rng, n),
+        origin=rng.normal(0.0, 50.0, (len(kinds), 3)),
+        axes=frames(rng.normal(size=(len(kinds), 3))),
         component_track=np.array(owner, dtype=np.int64),
         component_type=np.array(kinds, dtype=np.int64),
         component_weight=np.array([1.0 / len(track) for track in tracks for _ in track]),
@@ -57,23 +60,22 @@ def state_of(
 def linear_problem(
     rng: np.random.Generator, state: FilterState, used: BoolArray
 ) -> tuple[Observed, Evidence]:
-    """Paths of a linear model: z = A_i s + B_i x_i + noise; more of it on the length of some i."""
+    """Paths of a linear model: z = A_i s + B_i q_i + noise."""
     sources, count = len(state.component_track) + 1, len(used)
     a = rng.normal(size=(sources, DIM, 4))
     b = rng.normal(size=(sources, DIM, 3))
     b[0] = 0.0
     h = a @ state.ue_mean
-    h[1:] += np.einsum("mij,mj->mi", b[1:], state.positions)
+    h[1:] += np.einsum("mij,mj->mi", b[1:], state.placements)
     z = rng.normal(0.0, 5.0, (count, DIM))
     both = used[:, :, None] & used[:, None, :]
     noise = np.where(both, random_covariance(rng, count, DIM), np.eye(DIM))
     innovation = np.where(used, z - h[:, None, :], 0.0)
-    flags = np.zeros(sources, dtype=bool)
     fit = Evidence(
-        paths=Paths(h, a, b, flags, ~flags),
+        ue_jacobian=a,
+        landmark_jacobian=b,
         detection=np.full(sources, 0.9),
         innovation=innovation,
-        curvature=rng.exponential(2.0, sources),
         log_likelihood=np.zeros((sources, count)),
     )
     return Observed(np.where(used, z, np.nan), used, noise), fit
@@ -89,12 +91,11 @@ def kalman(
         if i == UNASSIGNED:
             continue
         h = np.zeros((DIM, len(state.mean)))
-        h[:, :4] = fit.paths.ue_jacobian[i]
+        h[:, :4] = fit.ue_jacobian[i]
         if i > 0:
-            h[:, 1 + 3 * i : 4 + 3 * i] = fit.paths.landmark_jacobian[i]
+            h[:, 1 + 3 * i : 4 + 3 * i] = fit.landmark_jacobian[i]
         has = observed.used[path]
-        noise = observed.noise[path].copy()
-        noise[0, 0] += fit.curvature[i]
+        noise = observed.noise[path]
         precision = np.linalg.inv(noise[np.ix_(has, has)])
         information = information + h[has].T @ precision @ h[has]
         vector = vector + h[has].T @ precision @ observed.values[path][has]
@@ -292,17 +293,31 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     # The old part is as it was; a new one follows the vehicle by its gain.
     np.testing.assert_array_equal(after.covariance[:7, :7], state.covariance)
     kept = [(0, 0), (1, 0), (0, 2)]
-    stacked = np.vstack([births.gain[kind, path] for kind, path in kept])
-    np.testing.assert_allclose(after.covariance[7:, :7], stacked @ state.covariance[:4])
-    np.testing.assert_allclose(
-        after.covariance[7:10, 10:13],
-        births.gain[0, 0] @ state.ue_covariance @ births.gain[1, 0].T,
-    )
+    to_position = after.position_jacobians[1:]
+    gains = [to @ np.asarray(g) for to, g in zip(to_position, gains_of(after), strict=True)]
     for number, (kind, path) in enumerate(kept):
         block = slice(7 + 3 * number, 10 + 3 * number)
-        np.testing.assert_array_equal(after.covariance[block, block], births.covariance[kind, path])
-        np.testing.assert_array_equal(after.mean[block], births.position[kind, path])
+        np.testing.assert_allclose(gains[number], births.gain[kind, path], atol=1e-9)
+        np.testing.assert_allclose(after.positions[1 + number], births.position[kind, path])
+        np.testing.assert_allclose(
+            after.position_covariances[1 + number], births.covariance[kind, path], atol=1e-8
+        )
+        for other in range(number):
+            across = slice(7 + 3 * other, 10 + 3 * other)
+            cross = to_position[number] @ after.covariance[block, across] @ to_position[other].T
+            np.testing.assert_allclose(
+                cross,
+                births.gain[kind, path] @ state.ue_covariance @ births.gain[kept[other]].T,
+                atol=1e-8,
+            )
     np.testing.assert_allclose(after.covariance, after.covariance.T)
+
+
+def gains_of(state: FilterState) -> list[FloatArray]:
+    """How q of the components born follows the vehicle."""
+    regression = np.linalg.solve(state.covariance[:7, :7], state.covariance[:7, 7:]).T
+    np.testing.assert_allclose(regression[:, 4:], 0.0, atol=1e-9)  # the vehicle alone
+    return list(regression[:, :4].reshape(-1, 3, 4))
 
 
 def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
