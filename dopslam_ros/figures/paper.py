@@ -207,7 +207,7 @@ def _error_over_bound(results: Results) -> Figure:
     The band is of a Gaussian error in one dimension whose variance is the bound; that of the
     position, which has two dimensions, is narrower.
     """
-    figure, panels = grid(3, len(results.plan.dopplers), 6.8, "row")
+    figure, panels = grid(3, len(results.plan.dopplers), 7.4, "row")
     low, high = numbers.mean_square_band(len(results.run_numbers), 1)
     ends = numbers.Band(math.sqrt(low), math.sqrt(high))
     for column, doppler in zip(panels.T, numbers.cases(results), strict=True):
