@@ -42,6 +42,7 @@ setup(
     install_requires=[
         "numpy>=1.26,<3",
         "scipy>=1.11,<2",
+        "numba>=0.58,<1",
         "PyYAML>=6.0,<7",
         "matplotlib>=3.6,<4",
         "tqdm>=4.60,<5",

@@ -1,0 +1,1 @@
+"""The inner loops of the filter, compiled: plain functions of numbers and arrays."""

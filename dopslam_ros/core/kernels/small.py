@@ -1,0 +1,62 @@
+"""Linear algebra of small matrices without calls or copies."""
+
+from __future__ import annotations
+
+import math
+
+from dopslam_ros.core.arrays import FloatArray
+from dopslam_ros.core.kernels.compiled import compiled
+
+
+@compiled
+def cholesky(a: FloatArray, n: int) -> bool:
+    """Replaces the lower triangle of a (n, n) by its Cholesky factor L; a = L L'.
+
+    Only the lower triangle is read; the upper one stays as it is.
+
+    Returns:
+        Whether a is positive definite; otherwise its content is of no use any more.
+    """
+    for j in range(n):
+        pivot = a[j, j]
+        for k in range(j):
+            pivot -= a[j, k] * a[j, k]
+        if not pivot > 0.0:
+            return False
+        root = math.sqrt(pivot)
+        a[j, j] = root
+        for i in range(j + 1, n):
+            entry = a[i, j]
+            for k in range(j):
+                entry -= a[i, k] * a[j, k]
+            a[i, j] = entry / root
+    return True
+
+
+@compiled
+def forward(lower: FloatArray, x: FloatArray, n: int) -> None:
+    """Replaces x (n,) by the solution y of L y = x."""
+    for i in range(n):
+        entry = x[i]
+        for k in range(i):
+            entry -= lower[i, k] * x[k]
+        x[i] = entry / lower[i, i]
+
+
+@compiled
+def backward(lower: FloatArray, x: FloatArray, n: int) -> None:
+    """Replaces x (n,) by the solution y of L' y = x."""
+    for i in range(n - 1, -1, -1):
+        entry = x[i]
+        for k in range(i + 1, n):
+            entry -= lower[k, i] * x[k]
+        x[i] = entry / lower[i, i]
+
+
+@compiled
+def log_determinant(lower: FloatArray, n: int) -> float:
+    """ln det(L L')."""
+    total = 0.0
+    for i in range(n):
+        total += math.log(lower[i, i])
+    return 2.0 * total

@@ -1,0 +1,33 @@
+"""Small linear algebra: numpy as the witness."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dopslam_ros.core.kernels.small import backward, cholesky, forward, log_determinant
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_factor_and_solves_are_those_of_numpy(n: int) -> None:
+    rng = np.random.default_rng(n)
+    root = rng.normal(size=(n, n))
+    a = root @ root.T + 0.1 * np.eye(n)
+    expected = np.linalg.cholesky(a)
+    lower = a.copy()
+    assert cholesky(lower, n)
+    np.testing.assert_allclose(np.tril(lower), expected, atol=1e-12)
+    assert log_determinant(lower, n) == pytest.approx(np.linalg.slogdet(a)[1])
+    b = rng.normal(size=n)
+    x = b.copy()
+    forward(lower, x, n)
+    np.testing.assert_allclose(expected @ x, b, atol=1e-10)
+    backward(lower, x, n)
+    np.testing.assert_allclose(a @ x, b, atol=1e-10)
+
+
+@pytest.mark.parametrize("bad", [-1.0, 0.0, np.nan])
+def test_what_is_not_positive_definite_is_told(bad: float) -> None:
+    a = np.eye(3)
+    a[1, 1] = bad
+    assert not cholesky(a, 3)
