@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.stats import chi2
@@ -10,6 +11,7 @@ from scipy.stats import chi2
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, symmetrise
 from dopslam_ros.core.channel import DIM, LandmarkType, observe, residual
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
+from dopslam_ros.core.kernels.evidence import log_likelihoods, project
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import detection_probabilities
 
@@ -97,21 +99,34 @@ def weigh(
     detection = detection_probabilities(parameters, ue, positions, types, spread)
     detection = np.where(paths.degenerate, 0.0, detection)
 
-    both = observed.used[:, :, None] & observed.used[:, None, :]
     projected = _projected_covariance(state, paths.ue_jacobian, b)
-    s = np.where(both, projected[:, None], 0.0) + observed.noise
-    innovation = masked_residual(observed, paths.mean[:, None, :])
-    mahalanobis, log_determinant = gaussian_terms(s, innovation)
-    log_likelihood = -0.5 * (mahalanobis + log_determinant + log_normaliser(observed))
-    gate = chi2.ppf(parameters.gate_probability, observed.used.sum(axis=1))
-    inside = (mahalanobis <= gate) & ~paths.degenerate[:, None]
+    shape = (len(positions), len(observed.values))
+    innovation, log_likelihood = np.empty((*shape, DIM)), np.empty(shape)
+    if not log_likelihoods(
+        projected,
+        paths.mean,
+        paths.degenerate,
+        observed.values,
+        observed.used,
+        observed.noise,
+        gates(parameters.gate_probability),
+        innovation,
+        log_likelihood,
+    ):
+        raise np.linalg.LinAlgError("an innovation's covariance is not positive definite")
     return Evidence(
         ue_jacobian=paths.ue_jacobian,
         landmark_jacobian=b,
         detection=detection,
         innovation=innovation,
-        log_likelihood=np.where(inside, log_likelihood, -np.inf),
+        log_likelihood=log_likelihood,
     )
+
+
+@cache
+def gates(probability: float) -> FloatArray:
+    """(7,) squared Mahalanobis distances inside which a path lies, by its number of components."""
+    return np.asarray(chi2.ppf(probability, np.arange(DIM + 1)))
 
 
 def gaussian_terms(covariance: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -127,12 +142,9 @@ def _projected_covariance(state: FilterState, a: FloatArray, b: FloatArray) -> F
 
     A (C + 1, d, 4) and B (C + 1, d, 3); B of source 0, the BS, does not count.
     """
-    projected = a @ state.ue_covariance @ np.swapaxes(a, 1, 2)
-    b = b[1:]
-    cross = a[1:] @ state.placement_cross_covariances @ np.swapaxes(b, 1, 2)
-    projected[1:] += b @ state.placement_covariances @ np.swapaxes(b, 1, 2)
-    projected[1:] += cross + np.swapaxes(cross, 1, 2)
-    return symmetrise(projected)
+    projected = np.empty((len(a), a.shape[1], a.shape[1]))
+    project(a, b, state.covariance, projected)
+    return projected
 
 
 def _distance_std(state: FilterState, offset: FloatArray, to_position: FloatArray) -> FloatArray:

@@ -140,9 +140,7 @@ def mixture_step(
     states = [
         state
         for one in conditioned
-        for state in update.separate(
-            one.augmented, one.means, one.covariances, one.outcomes, parameters
-        )
+        for state in update.separate(one.augmented, one.outcomes, parameters)
     ]
     order = np.argsort(-weight, kind="stable")
     kept = [

@@ -67,12 +67,7 @@ def step(
     ranked = rank(predict(state, spans, parameters), observed, speed, parameters)
     conditioned = condition(ranked, ranked.born, observed, parameters)
     merged = update.merge(
-        conditioned.augmented,
-        conditioned.means,
-        conditioned.covariances,
-        conditioned.outcomes,
-        ranked.hypotheses,
-        parameters,
+        conditioned.augmented, conditioned.outcomes, ranked.hypotheses, parameters
     )
     return Step(state=finish(merged, parameters), associations=associations_of(ranked, conditioned))
 
@@ -104,14 +99,10 @@ class Conditioned:
 
     Attributes:
         augmented: with the births.
-        means: (H, n).
-        covariances: (H, n, n).
         outcomes: existence and types.
     """
 
     augmented: update.Augmented
-    means: FloatArray
-    covariances: FloatArray
     outcomes: update.Outcomes
 
 
@@ -137,12 +128,21 @@ def condition(
     parameters: FilterParameters,
 ) -> Conditioned:
     """Updates a density with each of its associations; ``numbered`` (J,) births get an id."""
-    augmented = update.augment(
-        ranked.predicted, ranked.births, ranked.weights, ranked.born, numbered, parameters
+    means, covariances = update.condition(
+        ranked.predicted, observed, ranked.evidence, ranked.hypotheses
     )
-    means, covariances = update.condition(augmented, observed, ranked.evidence, ranked.hypotheses)
+    augmented = update.augment(
+        ranked.predicted,
+        means,
+        covariances,
+        ranked.births,
+        ranked.weights,
+        ranked.born,
+        numbered,
+        parameters,
+    )
     outcomes = update.judge(augmented, ranked.evidence, ranked.hypotheses)
-    return Conditioned(augmented, means, covariances, outcomes)
+    return Conditioned(augmented, outcomes)
 
 
 def finish(state: FilterState, parameters: FilterParameters) -> FilterState:

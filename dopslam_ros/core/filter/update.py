@@ -8,12 +8,12 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
 from dopslam_ros.core.assignment import UNASSIGNED
-from dopslam_ros.core.channel import DIM
 from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.birth import Births
 from dopslam_ros.core.filter.evidence import Evidence, Observed
 from dopslam_ros.core.filter.hypotheses import Hypotheses, LocalWeights
 from dopslam_ros.core.filter.state import UE, UNKNOWN_TYPES, FilterParameters, FilterState
+from dopslam_ros.core.kernels import update as kernels
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,19 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class Augmented:
-    """The state with a track per path that may be a new landmark.
+    """The state with a track per path that may be a new landmark, under every hypothesis.
 
     Attributes:
-        state: tracks and components of the births appended.
+        state: tracks and components of the births appended; its Gaussian is that of the first
+            hypothesis.
+        means: (H, n) of the joint vector under each hypothesis.
+        covariances: (H, n, n).
         birth_track: (J,) track of the landmark born from path j, or UNASSIGNED.
     """
 
     state: FilterState
+    means: FloatArray
+    covariances: FloatArray
     birth_track: IntArray
 
 
@@ -56,8 +61,46 @@ def birth_existence(births: Births, weights: LocalWeights) -> FloatArray:
     return np.asarray(np.exp(log_rho - weights.new))
 
 
+def condition(
+    state: FilterState, observed: Observed, evidence: Evidence, hypotheses: Hypotheses
+) -> tuple[FloatArray, FloatArray]:
+    """One joint EKF update of [s; q_1 ... q_C] per hypothesis.
+
+    Returns:
+        (H, n) means and (H, n, n) covariances.
+
+    Raises:
+        LinAlgError: an innovation's covariance is not positive definite.
+    """
+    source = hypotheses.source
+    rows, n = len(source), len(state.mean)
+    # What most hypotheses agree on comes first, so that they share it.
+    agree = (source == source[:1]).sum(axis=0)
+    path_order = np.argsort(-agree, kind="stable")
+    row_order = np.lexsort(source[:, path_order[::-1]].T) if source.size else np.arange(rows)
+    means, covariances = np.empty((rows, n)), np.empty((rows, n, n))
+    if not kernels.condition(
+        state.mean,
+        state.covariance,
+        evidence.ue_jacobian,
+        evidence.landmark_jacobian,
+        evidence.innovation,
+        observed.used,
+        observed.noise,
+        source,
+        path_order,
+        row_order,
+        means,
+        covariances,
+    ):
+        raise np.linalg.LinAlgError("an innovation's covariance is not positive definite")
+    return means, covariances
+
+
 def augment(
     state: FilterState,
+    means: FloatArray,
+    covariances: FloatArray,
     births: Births,
     weights: LocalWeights,
     kept: BoolArray,
@@ -67,7 +110,9 @@ def augment(
     """Appends the births that are kept, each correlated with the vehicle as its fit says.
 
     Args:
-        state: predicted.
+        state: predicted, to which the births were fitted.
+        means: (H, n) under each hypothesis.
+        covariances: (H, n, n).
         births: candidates from J paths.
         weights: local weights.
         kept: (J,) births to append.
@@ -83,22 +128,26 @@ def augment(
     share /= share.sum(axis=0)
     # Sorted by track, then type: (number of the birth, type).
     which, kind = np.nonzero(share.T)
+    path = born[which]
     tracks = len(state.track_id)
-    position = births.position[kind, born[which]]
-    origin = np.tile(np.append(state.ue_mean[:2], parameters.ue_height), (len(position), 1))
-    axes = placement.frames(position - origin)
-    q = placement.placements(origin, axes, position)
-    to_position = placement.jacobians(axes, q)
-    half = np.asarray(np.linalg.solve(to_position, births.covariance[kind, born[which]]))
-    spread = np.asarray(np.linalg.solve(to_position, np.swapaxes(half, 1, 2)), np.float64)
-    gain = np.asarray(np.linalg.solve(to_position, births.gain[kind, born[which]]), np.float64)
-    mean, covariance = _append_components(state, q, symmetrise(spread), gain)
+    origin = np.tile(np.append(state.ue_mean[:2], parameters.ue_height), (len(path), 1))
+    axes = placement.frames(births.position[kind, path] - origin)
+    more_means, more_covariances = _append(
+        state,
+        means,
+        covariances,
+        origin,
+        axes,
+        births.position[kind, path],
+        births.covariance[kind, path],
+        births.gain[kind, path],
+    )
     birth_track = np.full(len(existence), UNASSIGNED, dtype=np.int64)
     birth_track[born] = tracks + np.arange(len(born))
     augmented = replace(
         state,
-        mean=mean,
-        covariance=covariance,
+        mean=more_means[0],
+        covariance=more_covariances[0],
         origin=np.concatenate([state.origin, origin]),
         axes=np.concatenate([state.axes, axes]),
         component_track=np.concatenate([state.component_track, tracks + which]),
@@ -108,37 +157,42 @@ def augment(
         existence=np.concatenate([state.existence, existence[born]]),
         next_id=state.next_id + int(numbered.sum()),
     )
-    return Augmented(augmented, birth_track)
+    return Augmented(augmented, more_means, more_covariances, birth_track)
 
 
-def condition(
-    augmented: Augmented, observed: Observed, evidence: Evidence, hypotheses: Hypotheses
+def _append(
+    state: FilterState,
+    means: FloatArray,
+    covariances: FloatArray,
+    origin: FloatArray,
+    axes: FloatArray,
+    positions: FloatArray,
+    spreads: FloatArray,
+    gains: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """One joint EKF update of [s; x_1 ... x_C] per hypothesis.
-
-    Returns:
-        (H, n) means and (H, n, n) covariances.
-    """
-    state = augmented.state
-    taken = np.flatnonzero((hypotheses.source != UNASSIGNED).any(axis=0))
-    source = hypotheses.source[:, taken]
-    assigned = source != UNASSIGNED
-    rows = _measurement_rows(source, assigned, evidence, observed.used[taken], len(state.mean))
-    innovation = np.where(
-        assigned[:, :, None], evidence.innovation[source, taken[None, :]], 0.0
-    ).reshape(len(source), -1)
-    noise = np.where(assigned[:, :, None, None], observed.noise[taken], np.eye(DIM))
-
-    projected = rows @ state.covariance
-    s = projected @ np.swapaxes(rows, 1, 2)
-    for path in range(len(taken)):
-        block = slice(DIM * path, DIM * (path + 1))
-        s[:, block, block] += noise[:, path]
-    factor = np.linalg.cholesky(symmetrise(s))
-    white = np.linalg.solve(factor, np.concatenate([projected, innovation[:, :, None]], axis=2))
-    gain, white_innovation = np.swapaxes(white[:, :, :-1], 1, 2), white[:, :, -1:]
-    mean = state.mean + (gain @ white_innovation)[:, :, 0]
-    return mean, symmetrise(state.covariance - gain @ white[:, :, :-1])
+    """The Gaussians with births (B, 3), (B, 3, 3), (B, 3, 4), given in x, y, z, behind the rest."""
+    if not len(positions):
+        return means, covariances
+    q = placement.placements(origin, axes, positions)
+    to_position = placement.jacobians(axes, q)
+    gain = np.asarray(np.linalg.solve(to_position, gains), np.float64)
+    given_ue = spreads - gains @ state.ue_covariance @ np.swapaxes(gains, 1, 2)
+    half = np.linalg.solve(to_position, given_ue)
+    spread = np.asarray(np.linalg.solve(to_position, np.swapaxes(half, 1, 2)), np.float64)
+    rows, n = means.shape
+    n += 3 * len(q)
+    more_means, more_covariances = np.empty((rows, n)), np.empty((rows, n, n))
+    kernels.append(
+        means,
+        covariances,
+        state.ue_mean,
+        q,
+        symmetrise(spread),
+        gain,
+        more_means,
+        more_covariances,
+    )
+    return more_means, more_covariances
 
 
 def judge(augmented: Augmented, evidence: Evidence, hypotheses: Hypotheses) -> Outcomes:
@@ -174,8 +228,6 @@ def judge(augmented: Augmented, evidence: Evidence, hypotheses: Hypotheses) -> O
 
 def merge(
     augmented: Augmented,
-    means: FloatArray,
-    covariances: FloatArray,
     outcomes: Outcomes,
     hypotheses: Hypotheses,
     parameters: FilterParameters,
@@ -194,20 +246,16 @@ def merge(
     scaled = component / np.where(total > 0.0, total, 1.0)
     # A component that no hypothesis supports is about to be dropped; any weights will do.
     scaled = np.where(total > 0.0, scaled, hypotheses.weight[:, None])
-    weight = np.concatenate(
-        [np.tile(hypotheses.weight[:, None], UE), np.repeat(scaled, 3, axis=1)], axis=1
+    mean, covariance = np.empty_like(state.mean), np.empty_like(state.covariance)
+    kernels.merge(
+        hypotheses.weight, scaled, augmented.means, augmented.covariances, mean, covariance
     )
-    mean = np.sum(weight * means, axis=0)
-    root = np.sqrt(weight)
-    deviation = root * (means - mean)
-    covariance = np.einsum("hi,hij,hj->ij", root, covariances, root)
-    covariance += deviation.T @ deviation
     track_total = np.bincount(state.component_track, total, minlength=len(existence))
     share = total / np.where(track_total > 0.0, track_total, 1.0)[state.component_track]
     merged = replace(
         state,
         mean=mean,
-        covariance=symmetrise(covariance),
+        covariance=covariance,
         component_weight=share,
         existence=np.minimum(existence, 1.0),
     )
@@ -215,11 +263,7 @@ def merge(
 
 
 def separate(
-    augmented: Augmented,
-    means: FloatArray,
-    covariances: FloatArray,
-    outcomes: Outcomes,
-    parameters: FilterParameters,
+    augmented: Augmented, outcomes: Outcomes, parameters: FilterParameters
 ) -> list[FilterState]:
     """The density under each hypothesis, for a PMBM that carries them on."""
     states = [
@@ -231,7 +275,11 @@ def separate(
             existence=existence,
         )
         for mean, covariance, weight, existence in zip(
-            means, covariances, outcomes.type_weight, outcomes.existence, strict=True
+            augmented.means,
+            augmented.covariances,
+            outcomes.type_weight,
+            outcomes.existence,
+            strict=True,
         )
     ]
     if parameters.coupling == "marginal":
@@ -260,38 +308,6 @@ def prune(state: FilterState, parameters: FilterParameters) -> FilterState:
         track_id=state.track_id[track_kept],
         existence=state.existence[track_kept],
     )
-
-
-def _append_components(
-    state: FilterState, q: FloatArray, covariances: FloatArray, gains: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance with new components behind the old ones."""
-    old, new = len(state.mean), 3 * len(q)
-    stacked = gains.reshape(-1, UE)
-    joint = np.zeros((old + new, old + new))
-    joint[:old, :old] = state.covariance
-    joint[old:, :old] = stacked @ state.covariance[:UE]
-    joint[:old, old:] = joint[old:, :old].T
-    joint[old:, old:] = stacked @ state.ue_covariance @ stacked.T
-    for number, covariance in enumerate(covariances):
-        block = slice(old + 3 * number, old + 3 * number + 3)
-        joint[block, block] = covariance
-    return np.concatenate([state.mean, q.ravel()]), joint
-
-
-def _measurement_rows(
-    source: IntArray, assigned: BoolArray, evidence: Evidence, used: BoolArray, size: int
-) -> FloatArray:
-    """(H, 6 J, n) Jacobian of the stacked paths; zero rows where a path is not assigned."""
-    hypotheses, paths = source.shape
-    counts = assigned[:, :, None, None] & used[None, :, :, None]
-    rows = np.zeros((hypotheses, paths, DIM, size))
-    rows[..., :UE] = np.where(counts, evidence.ue_jacobian[source], 0.0)
-    h, j = np.nonzero(source > 0)
-    columns = block_indices(UE, source[h, j] - 1, 3)
-    blocks = np.where(counts[h, j], evidence.landmark_jacobian[source[h, j]], 0.0)
-    rows[h[:, None], j[:, None], :, columns] = np.swapaxes(blocks, 1, 2)
-    return rows.reshape(hypotheses, paths * DIM, size)
 
 
 def _uncoupled(state: FilterState) -> FilterState:

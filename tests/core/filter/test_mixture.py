@@ -22,7 +22,8 @@ from dopslam_ros.core.model import with_doppler_std
 from dopslam_ros.core.motion import ControlSpan
 from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.core.simulator import Snapshot, simulate
-from dopslam_ros.core.study import filter_parameters_for, run_generator
+from dopslam_ros.core.study import filter_parameters_for
+from dopslam_ros.study.plan import run_generator
 
 # Without Doppler and with much clutter, so that the filter doubts.
 SCENARIO = replace(with_doppler_std(load_scenario("paper"), None), clutter_mean=4.0)

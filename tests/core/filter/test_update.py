@@ -112,7 +112,7 @@ def test_condition_is_the_linear_kalman_filter(seed: int) -> None:
     observed, fit = linear_problem(rng, state, used)
     source = [[0, 3, UNASSIGNED, 2], [UNASSIGNED, 4, 1, 3], [UNASSIGNED] * 4, [0, 1, 3, 4]]
     ranked = Hypotheses(np.array(source), np.array(source), np.full(4, 0.25), 0.0)
-    means, covariances = condition(Augmented(state, np.full(4, UNASSIGNED)), observed, fit, ranked)
+    means, covariances = condition(state, observed, fit, ranked)
     for row, sources in enumerate(source):
         mean, covariance = kalman(state, observed, fit, sources)
         np.testing.assert_allclose(means[row], mean, rtol=1e-8, atol=1e-8)
@@ -126,7 +126,7 @@ def test_condition_with_one_hypothesis_only() -> None:
     observed, fit = linear_problem(rng, state, np.ones((2, DIM), dtype=bool))
     source = np.array([[1, 0]])
     means, covariances = condition(
-        Augmented(state, np.full(2, UNASSIGNED)),
+        state,
         observed,
         fit,
         Hypotheses(source, source, np.ones(1), 0.0),
@@ -143,13 +143,23 @@ def test_condition_without_any_assignment_is_the_prediction(paths: int) -> None:
     observed, fit = linear_problem(rng, state, np.ones((paths, DIM), dtype=bool))
     source = np.full((1, paths), UNASSIGNED)
     means, covariances = condition(
-        Augmented(state, np.full(paths, UNASSIGNED)),
+        state,
         observed,
         fit,
         Hypotheses(source, source, np.ones(1), 0.0),
     )
     np.testing.assert_allclose(means[0], state.mean, rtol=1e-12)
     np.testing.assert_allclose(covariances[0], state.covariance, rtol=1e-12)
+
+
+def gaussian(state: FilterState, count: int) -> tuple[FloatArray, FloatArray]:
+    """The prediction under each of some hypotheses."""
+    return np.repeat(state.mean[None], count, 0), np.repeat(state.covariance[None], count, 0)
+
+
+def alone(state: FilterState, paths: int) -> Augmented:
+    """Without births."""
+    return Augmented(state, *gaussian(state, 1), np.full(paths, UNASSIGNED))
 
 
 def mixture(
@@ -161,7 +171,7 @@ def mixture(
     covariances = random_covariance(rng, hypotheses, n)
     weight = rng.dirichlet(np.ones(hypotheses))
     none = np.full((hypotheses, 0), UNASSIGNED)
-    augmented = Augmented(state, np.zeros(0, dtype=np.int64))
+    augmented = Augmented(state, means, covariances, np.zeros(0, dtype=np.int64))
     return augmented, means, covariances, Hypotheses(none, none, weight, 0.0)
 
 
@@ -170,7 +180,7 @@ def test_merge_of_sure_landmarks_has_the_moments_of_the_mixture(seed: int) -> No
     rng = np.random.default_rng(seed)
     augmented, means, covariances, ranked = mixture(rng, [[1], [2]], 4)
     sure = Outcomes(np.ones((4, 2)), np.ones((4, 2)))
-    merged = merge(augmented, means, covariances, sure, ranked, PARAMETERS)
+    merged = merge(augmented, sure, ranked, PARAMETERS)
     w = ranked.weight
     mean = w @ means
     second = sum(w[h] * (covariances[h] + np.outer(means[h], means[h])) for h in range(4))
@@ -183,7 +193,7 @@ def test_merge_against_sampling() -> None:
     rng = np.random.default_rng(9)
     augmented, means, covariances, ranked = mixture(rng, [[2]], 3)
     sure = Outcomes(np.ones((3, 1)), np.ones((3, 1)))
-    merged = merge(augmented, means, covariances, sure, ranked, PARAMETERS)
+    merged = merge(augmented, sure, ranked, PARAMETERS)
     which = rng.choice(3, 60_000, p=ranked.weight)
     roots = np.linalg.cholesky(covariances)
     noise = rng.normal(size=(60_000, 7))
@@ -205,7 +215,7 @@ def test_merge_weights_every_component_by_what_supports_it(seed: int, coupling: 
     share = rng.random(5)
     outcomes = Outcomes(existence, np.stack([share, 1.0 - share, np.ones(5), np.ones(5)], 1))
     parameters = replace(PARAMETERS, coupling=coupling)
-    merged = merge(augmented, means, covariances, outcomes, ranked, parameters)
+    merged = merge(augmented, outcomes, ranked, parameters)
 
     w = ranked.weight
     owner = augmented.state.component_track
@@ -249,7 +259,7 @@ def test_judge_follows_bayes() -> None:
     track = np.array([[1, UNASSIGNED], [2, 0], [UNASSIGNED, UNASSIGNED]])
     source = np.array([[2, UNASSIGNED], [3, 0], [UNASSIGNED, UNASSIGNED]])
     outcomes = judge(
-        Augmented(state, np.full(2, UNASSIGNED)),
+        alone(state, 2),
         fit,
         Hypotheses(track, source, np.full(3, 1 / 3), 0.0),
     )
@@ -283,7 +293,9 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     track = np.array([[UNASSIGNED, UNASSIGNED, UNASSIGNED], [UNASSIGNED, 0, 1]])
     ranked = Hypotheses(track, track, np.array([0.4, 0.6]), 0.0)
     born = worth_keeping(births, weights, ranked, PARAMETERS)
-    augmented = augment(state, births, weights, born, born, PARAMETERS)
+    augmented = augment(
+        state, *gaussian(state, len(track)), births, weights, born, born, PARAMETERS
+    )
     after = augmented.state
     assert augmented.birth_track.tolist() == [1, UNASSIGNED, 2]
     assert after.track_id.tolist() == [1, 2, 3] and after.next_id == 4
@@ -328,7 +340,9 @@ def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
     track = np.array([[UNASSIGNED, UNASSIGNED], [1, UNASSIGNED]])
     ranked = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
     born = worth_keeping(births, weights, ranked, PARAMETERS)
-    augmented = augment(state, births, weights, born, born, PARAMETERS)
+    augmented = augment(
+        state, *gaussian(state, len(track)), births, weights, born, born, PARAMETERS
+    )
     _, fit = linear_problem(rng, state, np.ones((2, DIM), dtype=bool))
     outcomes = judge(augmented, fit, ranked)
     np.testing.assert_allclose(outcomes.existence[:, 1:], [[0.25, 0.25], [0.0, 0.25]])
