@@ -27,6 +27,7 @@ from dopslam_ros.core.arrays import FloatArray, IntArray, symmetrise, wrap_angle
 from dopslam_ros.core.assignment import UNASSIGNED, k_best_assignments
 from dopslam_ros.core.channel import LandmarkType, observe
 from dopslam_ros.core.filter.birth import Births, propose
+from dopslam_ros.core.filter.estimates import LandmarkEstimates
 from dopslam_ros.core.filter.evidence import (
     Observed,
     gaussian_terms,
@@ -40,7 +41,6 @@ from dopslam_ros.core.filter.state import (
     UNKNOWN_TYPES,
     FilterParameters,
     FilterState,
-    LandmarkEstimates,
     initial_filter_state,
 )
 from dopslam_ros.core.filter.undetected import Undetected, looked_from, nothing_seen

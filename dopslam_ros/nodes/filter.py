@@ -94,7 +94,7 @@ class FilterNode(DopslamNode):
             [
                 ("sets_processed", self._sets),
                 ("sets_waiting", self._session.pending),
-                ("landmarks", len(state.best.track_id)),
+                ("landmarks", len(state.best.all_track_ids)),
                 ("step_ms_median", f"{np.median(steps):.3f}"),
                 ("step_ms_max", f"{steps.max():.3f}"),
                 ("smallest_eigenvalue", f"{smallest:.3e}"),

@@ -1,5 +1,6 @@
 """The EK-PMB(M) SLAM filter of Ge et al. as pure functions over arrays."""
 
+from dopslam_ros.core.filter.estimates import LandmarkEstimates, reported_landmarks
 from dopslam_ros.core.filter.mixture import (
     Mixture,
     MixtureStep,
@@ -10,9 +11,7 @@ from dopslam_ros.core.filter.mixture import (
 from dopslam_ros.core.filter.state import (
     FilterParameters,
     FilterState,
-    LandmarkEstimates,
     initial_filter_state,
-    reported_landmarks,
 )
 from dopslam_ros.core.filter.step import Associations, Step, step
 

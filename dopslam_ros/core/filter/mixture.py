@@ -10,21 +10,20 @@ from scipy.special import logsumexp
 
 from dopslam_ros.core.arrays import FloatArray, IntArray, symmetrise, wrap_angle
 from dopslam_ros.core.filter import evidence, update
+from dopslam_ros.core.filter.estimates import LandmarkEstimates, reported_landmarks
 from dopslam_ros.core.filter.state import (
     FilterParameters,
     FilterState,
-    LandmarkEstimates,
     initial_filter_state,
-    reported_landmarks,
 )
 from dopslam_ros.core.filter.step import (
     Associations,
     Conditioned,
     Ranked,
+    advance,
     associations_of,
     condition,
     finish,
-    predict,
     rank,
     step,
 )
@@ -51,8 +50,8 @@ class Mixture:
 
     @property
     def track_ids(self) -> IntArray:
-        """Ids of the tracks that some hypothesis has, ascending."""
-        return np.unique(np.concatenate([h.track_id for h in self.hypotheses]))
+        """Ids of the tracks that some hypothesis has, awake or asleep, ascending."""
+        return np.unique(np.concatenate([h.all_track_ids for h in self.hypotheses]))
 
     @property
     def ue_mean(self) -> FloatArray:
@@ -127,7 +126,7 @@ def mixture_step(
         return MixtureStep(Mixture((outcome.state,), np.ones(1)), outcome.associations)
     observed = evidence.prepare(measurements, parameters)
     ranked = [
-        rank(predict(hypothesis, spans, parameters), observed, speed, parameters)
+        rank(advance(hypothesis, spans, parameters), observed, speed, parameters)
         for hypothesis in mixture.hypotheses
     ]
     numbered = np.any([one.born for one in ranked], axis=0)

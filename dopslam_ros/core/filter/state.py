@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices, symmetrise
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import placement
+from dopslam_ros.core.filter.sleepers import Asleep
 from dopslam_ros.core.filter.undetected import Undetected, nothing_seen
 from dopslam_ros.core.model import OnlineParameters
 from dopslam_ros.core.parameters import parameter
@@ -110,6 +111,7 @@ class FilterState:
         track_id: (T,) stable ids, from 1 on (0 is the BS).
         existence: (T,) probability that the landmark exists, r.
         undetected: where landmarks never detected may still be.
+        asleep: landmarks put aside while they are out of view.
         next_id: the id of the next new track.
     """
 
@@ -123,6 +125,7 @@ class FilterState:
     track_id: IntArray
     existence: FloatArray
     undetected: Undetected
+    asleep: Asleep
     next_id: int
 
     @property
@@ -134,6 +137,11 @@ class FilterState:
     def ue_covariance(self) -> FloatArray:
         """(4, 4) its covariance."""
         return self.covariance[:UE, :UE]
+
+    @property
+    def all_track_ids(self) -> IntArray:
+        """Ids of all tracks, awake or asleep."""
+        return np.concatenate([self.track_id, *(c.track_id for c in self.asleep.cells.values())])
 
     @property
     def placements(self) -> FloatArray:
@@ -167,6 +175,30 @@ class FilterState:
         jacobian = self.position_jacobians
         return symmetrise(jacobian @ self.placement_covariances @ np.swapaxes(jacobian, 1, 2))
 
+    def only(self, components: BoolArray, tracks: BoolArray) -> FilterState:
+        """What is left of it.
+
+        Args:
+            components: (C,) which are kept.
+            tracks: (T,) which are kept; they have a component that is.
+        """
+        index = np.concatenate(
+            [np.arange(UE), block_indices(UE, np.flatnonzero(components), 3).ravel()]
+        )
+        renumbered = np.cumsum(tracks) - 1
+        return replace(
+            self,
+            mean=self.mean[index],
+            covariance=self.covariance[np.ix_(index, index)],
+            origin=self.origin[components],
+            axes=self.axes[components],
+            component_track=renumbered[self.component_track[components]],
+            component_type=self.component_type[components],
+            component_weight=self.component_weight[components],
+            track_id=self.track_id[tracks],
+            existence=self.existence[tracks],
+        )
+
 
 def initial_filter_state(parameters: FilterParameters) -> FilterState:
     """The density before the first snapshot: the prior of the vehicle and an unknown map."""
@@ -182,48 +214,6 @@ def initial_filter_state(parameters: FilterParameters) -> FilterState:
         track_id=none,
         existence=np.zeros(0),
         undetected=nothing_seen(),
+        asleep=Asleep(),
         next_id=1,
-    )
-
-
-@dataclass(frozen=True)
-class LandmarkEstimates:
-    """The landmarks that are reported, the BS not among them.
-
-    Attributes:
-        ids: (L,) stable ids.
-        types: (L,) most probable type.
-        type_probabilities: (L, 3) in the order of LandmarkType.
-        existence: (L,) probabilities.
-        positions: (L, 3) [m], given the type.
-        covariances: (L, 3, 3) [m^2].
-    """
-
-    ids: IntArray
-    types: IntArray
-    type_probabilities: FloatArray
-    existence: FloatArray
-    positions: FloatArray
-    covariances: FloatArray
-
-
-def reported_landmarks(state: FilterState, parameters: FilterParameters) -> LandmarkEstimates:
-    """The map as it is shown: landmarks that surely exist and whose place is known."""
-    tracks = len(state.track_id)
-    probabilities = np.zeros((tracks, len(LandmarkType)))
-    probabilities[state.component_track, state.component_type] = state.component_weight
-    best = np.zeros(tracks, dtype=np.int64)
-    # Ascending weight: the heaviest component of a track is written last.
-    order = np.argsort(state.component_weight, kind="stable")
-    best[state.component_track[order]] = order
-    covariances = state.position_covariances[best]
-    spread = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
-    shown = (state.existence >= parameters.report_existence) & (spread <= parameters.report_std)
-    return LandmarkEstimates(
-        ids=state.track_id[shown],
-        types=state.component_type[best][shown],
-        type_probabilities=probabilities[shown],
-        existence=state.existence[shown],
-        positions=state.positions[best][shown],
-        covariances=covariances[shown],
     )

@@ -10,6 +10,7 @@ import numpy as np
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, wrap_angle
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.filter import birth, evidence, hypotheses, update
+from dopslam_ros.core.filter.asleep import fall_asleep, wake_up
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
 from dopslam_ros.core.filter.undetected import looked_from
 from dopslam_ros.core.measurements import MeasurementSet
@@ -64,7 +65,7 @@ def step(
         parameters: models and settings.
     """
     observed = evidence.prepare(measurements, parameters)
-    ranked = rank(predict(state, spans, parameters), observed, speed, parameters)
+    ranked = rank(advance(state, spans, parameters), observed, speed, parameters)
     conditioned = condition(ranked, ranked.born, observed, parameters)
     merged = update.merge(
         conditioned.augmented, conditioned.outcomes, ranked.hypotheses, parameters
@@ -150,9 +151,15 @@ def finish(state: FilterState, parameters: FilterParameters) -> FilterState:
     pruned = update.prune(state, parameters)
     mean = pruned.mean.copy()
     mean[2] = wrap_angle(mean[2])
-    return replace(
-        pruned, mean=mean, undetected=looked_from(state.undetected, mean[:2], parameters)
-    )
+    looked = looked_from(state.undetected, mean[:2], parameters)
+    return fall_asleep(replace(pruned, mean=mean, undetected=looked), parameters)
+
+
+def advance(
+    state: FilterState, spans: Sequence[ControlSpan], parameters: FilterParameters
+) -> FilterState:
+    """The density that the next set is weighed against: predicted, what may be seen awake."""
+    return wake_up(predict(state, spans, parameters), parameters)
 
 
 def predict(

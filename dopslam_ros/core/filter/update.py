@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, symmetrise
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.birth import Births
@@ -291,23 +291,10 @@ def prune(state: FilterState, parameters: FilterParameters) -> FilterState:
     """Drops landmarks that hardly exist and types that hardly apply."""
     track_kept = state.existence > parameters.prune_existence
     kept = track_kept[state.component_track] & (state.component_weight > parameters.prune_type)
-    index = np.concatenate([np.arange(UE), block_indices(UE, np.flatnonzero(kept), 3).ravel()])
-    renumbered = np.cumsum(track_kept) - 1
-    track = renumbered[state.component_track[kept]]
-    weight = state.component_weight[kept]
-    weight = weight / np.bincount(track, weight, minlength=int(track_kept.sum()))[track]
-    return replace(
-        state,
-        mean=state.mean[index],
-        covariance=state.covariance[np.ix_(index, index)],
-        origin=state.origin[kept],
-        axes=state.axes[kept],
-        component_track=track,
-        component_type=state.component_type[kept],
-        component_weight=weight,
-        track_id=state.track_id[track_kept],
-        existence=state.existence[track_kept],
-    )
+    pruned = state.only(kept, track_kept)
+    track, weight = pruned.component_track, pruned.component_weight
+    weight = weight / np.bincount(track, weight, minlength=len(pruned.track_id))[track]
+    return replace(pruned, component_weight=weight)
 
 
 def _uncoupled(state: FilterState) -> FilterState:

@@ -103,7 +103,7 @@ def test_global_hypotheses_share_the_ids_of_their_births(inputs: Inputs) -> None
             assert np.ptp(np.array(same), axis=0).max() < 60.0
         np.testing.assert_array_equal(
             mixture.track_ids,
-            sorted({int(i) for one in mixture.hypotheses for i in one.track_id}),
+            sorted({int(i) for one in mixture.hypotheses for i in one.all_track_ids}),
         )
 
 

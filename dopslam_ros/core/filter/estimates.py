@@ -1,0 +1,92 @@
+"""The map as it is shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from dopslam_ros.core.arrays import FloatArray, IntArray, symmetrise
+from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.filter import placement
+from dopslam_ros.core.filter.asleep import as_of_now
+from dopslam_ros.core.filter.state import FilterParameters, FilterState
+
+
+@dataclass(frozen=True)
+class LandmarkEstimates:
+    """The landmarks that are reported, the BS not among them.
+
+    Attributes:
+        ids: (L,) stable ids.
+        types: (L,) most probable type.
+        type_probabilities: (L, 3) in the order of LandmarkType.
+        existence: (L,) probabilities.
+        positions: (L, 3) [m], given the type.
+        covariances: (L, 3, 3) [m^2].
+    """
+
+    ids: IntArray
+    types: IntArray
+    type_probabilities: FloatArray
+    existence: FloatArray
+    positions: FloatArray
+    covariances: FloatArray
+
+
+def reported_landmarks(state: FilterState, parameters: FilterParameters) -> LandmarkEstimates:
+    """The map: landmarks that surely exist and whose place is known, in view or not."""
+    tracks = len(state.track_id)
+    probabilities = np.zeros((tracks, len(LandmarkType)))
+    probabilities[state.component_track, state.component_type] = state.component_weight
+    best = np.zeros(tracks, dtype=np.int64)
+    # Ascending weight: the heaviest component of a track is written last.
+    order = np.argsort(state.component_weight, kind="stable")
+    best[state.component_track[order]] = order
+    awake = LandmarkEstimates(
+        ids=state.track_id,
+        types=state.component_type[best],
+        type_probabilities=probabilities,
+        existence=state.existence,
+        positions=state.positions[best],
+        covariances=state.position_covariances[best],
+    )
+    everything = _together(awake, _out_of_view(state))
+    spread = np.sqrt(np.trace(everything.covariances, axis1=1, axis2=2))
+    shown = (everything.existence >= parameters.report_existence) & (
+        spread <= parameters.report_std
+    )
+    order = np.flatnonzero(shown)
+    return _rows(everything, order[np.argsort(everything.ids[order], kind="stable")])
+
+
+def _out_of_view(state: FilterState) -> LandmarkEstimates | None:
+    sleepers = state.asleep.everybody
+    if sleepers is None:
+        return None
+    q, covariance = as_of_now(state, sleepers)
+    to_position = placement.jacobians(sleepers.axes, q)
+    types = np.full(len(sleepers), int(LandmarkType.SP))
+    return LandmarkEstimates(
+        ids=sleepers.track_id,
+        types=types,
+        type_probabilities=np.eye(len(LandmarkType))[types],
+        existence=sleepers.existence,
+        positions=placement.positions(sleepers.origin, sleepers.axes, q),
+        covariances=symmetrise(to_position @ covariance @ np.swapaxes(to_position, 1, 2)),
+    )
+
+
+def _rows(landmarks: LandmarkEstimates, which: IntArray) -> LandmarkEstimates:
+    return LandmarkEstimates(*(getattr(landmarks, part.name)[which] for part in fields(landmarks)))
+
+
+def _together(one: LandmarkEstimates, other: LandmarkEstimates | None) -> LandmarkEstimates:
+    if other is None:
+        return one
+    return LandmarkEstimates(
+        *(
+            np.concatenate([getattr(one, part.name), getattr(other, part.name)])
+            for part in fields(one)
+        )
+    )
