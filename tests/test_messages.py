@@ -61,14 +61,16 @@ def landmarks(*rows: tuple[int, int], seed: int = 0) -> LandmarkEstimates:
 def output(estimates: LandmarkEstimates, stamp: int = 10**9) -> FilterOutput:
     """What a filter would say."""
     nothing = np.zeros(0, dtype=np.int64)
-    return FilterOutput(
+    made = FilterOutput(
         stamp_ns=stamp,
         state=initial_mixture(FilterParameters()),
-        landmarks=estimates,
+        parameters=FilterParameters(),
         control=Control(3.0, -0.5),
         associations=Associations(nothing.reshape(0, 0), np.zeros(0), nothing),
         step_seconds=0.0,
     )
+    vars(made)["landmarks"] = estimates  # as if it had been asked for before
+    return made
 
 
 def said(messages: FilterMessages, estimates: LandmarkEstimates, stamp: int = 10**9) -> Any:

@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class FilterOutput:
     Attributes:
         stamp_ns: time of the snapshot.
         state: posterior density.
-        landmarks: the map to report.
+        parameters: of the filter.
         control: what the vehicle does at that time; zeros if unknown.
         associations: the hypotheses behind it.
         step_seconds: time that the computation took.
@@ -53,10 +54,15 @@ class FilterOutput:
 
     stamp_ns: int
     state: Mixture
-    landmarks: LandmarkEstimates
+    parameters: FilterParameters
     control: Control
     associations: Associations
     step_seconds: float
+
+    @cached_property
+    def landmarks(self) -> LandmarkEstimates:
+        """The map to report; worked out when somebody asks, for it may be large."""
+        return landmarks_of(self.state, self.parameters)
 
 
 class FilterSession:
@@ -135,7 +141,7 @@ class FilterSession:
         return FilterOutput(
             stamp_ns=timed.stamp_ns,
             state=result.state,
-            landmarks=landmarks_of(result.state, self.parameters),
+            parameters=self.parameters,
             control=control,
             associations=result.associations,
             step_seconds=time.perf_counter() - started,
