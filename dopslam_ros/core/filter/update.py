@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, symmetrise
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.birth import Births
@@ -136,11 +136,11 @@ def augment(
         state,
         means,
         covariances,
-        origin,
         axes,
         births.position[kind, path],
         births.covariance[kind, path],
         births.gain[kind, path],
+        parameters.ue_height,
     )
     birth_track = np.full(len(existence), UNASSIGNED, dtype=np.int64)
     birth_track[born] = tracks + np.arange(len(born))
@@ -164,65 +164,50 @@ def _append(
     state: FilterState,
     means: FloatArray,
     covariances: FloatArray,
-    origin: FloatArray,
     axes: FloatArray,
     positions: FloatArray,
-    spreads: FloatArray,
+    covariances_given: FloatArray,
     gains: FloatArray,
+    ue_height: float,
 ) -> tuple[FloatArray, FloatArray]:
     """The Gaussians with births (B, 3), (B, 3, 3), (B, 3, 4), given in x, y, z, behind the rest."""
     if not len(positions):
         return means, covariances
-    q = placement.placements(origin, axes, positions)
-    to_position = placement.jacobians(axes, q)
-    gain = np.asarray(np.linalg.solve(to_position, gains), np.float64)
-    given_ue = spreads - gains @ state.ue_covariance @ np.swapaxes(gains, 1, 2)
-    half = np.linalg.solve(to_position, given_ue)
-    spread = np.asarray(np.linalg.solve(to_position, np.swapaxes(half, 1, 2)), np.float64)
-    rows, n = means.shape
-    n += 3 * len(q)
-    more_means, more_covariances = np.empty((rows, n)), np.empty((rows, n, n))
-    kernels.append(
-        means,
-        covariances,
+    births, rows = len(positions), len(means)
+    q, spread, gain = np.empty((births, 3)), np.empty((births, 3, 3)), np.empty((births, 3, UE))
+    kernels.place_births(
         state.ue_mean,
+        ue_height,
+        state.ue_covariance,
+        axes,
+        positions,
+        covariances_given,
+        gains,
         q,
-        symmetrise(spread),
+        spread,
         gain,
-        more_means,
-        more_covariances,
     )
+    n = means.shape[1] + 3 * births
+    more_means, more_covariances = np.empty((rows, n)), np.empty((rows, n, n))
+    kernels.append(means, covariances, state.ue_mean, q, spread, gain, more_means, more_covariances)
     return more_means, more_covariances
 
 
 def judge(augmented: Augmented, evidence: Evidence, hypotheses: Hypotheses) -> Outcomes:
     """Existence and type of every landmark under every hypothesis."""
-    state = augmented.state
-    old = len(evidence.detection) - 1
-    tracks = len(state.track_id)
-    detection = np.zeros(len(state.component_track))
-    detection[:old] = evidence.detection[1:]
-    surviving = state.component_weight * (1.0 - detection)
-    unseen = np.bincount(state.component_track, surviving, minlength=tracks)
-    missed = state.existence * unseen
-    missed = missed / np.maximum(1.0 - state.existence + missed, 1e-300)
-
-    existence = np.tile(missed, (len(hypotheses.weight), 1))
-    type_weight = np.tile(
-        surviving / np.maximum(unseen, 1e-300)[state.component_track],
-        (len(hypotheses.weight), 1),
+    state, rows = augmented.state, len(hypotheses.weight)
+    existence = np.empty((rows, len(state.track_id)))
+    type_weight = np.empty((rows, len(state.component_track)))
+    kernels.judge(
+        evidence.detection,
+        state.existence,
+        state.component_track,
+        state.component_weight,
+        augmented.birth_track,
+        hypotheses.source,
+        existence,
+        type_weight,
     )
-    hypothesis, path = np.nonzero(hypotheses.source > 0)
-    source = hypotheses.source[hypothesis, path] - 1
-    track = state.component_track[source]
-    existence[hypothesis, track] = 1.0
-    for h, t, c in zip(hypothesis, track, source, strict=True):
-        type_weight[h, state.component_track == t] = 0.0
-        type_weight[h, c] = 1.0
-    for number, born in enumerate(augmented.birth_track.tolist()):
-        if born != UNASSIGNED:
-            free = hypotheses.source[:, number] == UNASSIGNED
-            existence[:, born] = np.where(free, state.existence[born], 0.0)
     return Outcomes(existence, type_weight)
 
 
@@ -239,25 +224,22 @@ def merge(
     weighted by the geometric mean of theirs; the sum of congruences keeps it positive definite.
     """
     state = augmented.state
-    component = hypotheses.weight[:, None] * outcomes.type_weight
-    component = component * outcomes.existence[:, state.component_track]
-    total = component.sum(axis=0)
-    existence = hypotheses.weight @ outcomes.existence
-    scaled = component / np.where(total > 0.0, total, 1.0)
-    # A component that no hypothesis supports is about to be dropped; any weights will do.
-    scaled = np.where(total > 0.0, scaled, hypotheses.weight[:, None])
+    existence, share = np.empty(len(state.track_id)), np.empty(len(state.component_track))
     mean, covariance = np.empty_like(state.mean), np.empty_like(state.covariance)
     kernels.merge(
-        hypotheses.weight, scaled, augmented.means, augmented.covariances, mean, covariance
+        hypotheses.weight,
+        outcomes.existence,
+        outcomes.type_weight,
+        state.component_track,
+        augmented.means,
+        augmented.covariances,
+        existence,
+        share,
+        mean,
+        covariance,
     )
-    track_total = np.bincount(state.component_track, total, minlength=len(existence))
-    share = total / np.where(track_total > 0.0, track_total, 1.0)[state.component_track]
     merged = replace(
-        state,
-        mean=mean,
-        covariance=covariance,
-        component_weight=share,
-        existence=np.minimum(existence, 1.0),
+        state, mean=mean, covariance=covariance, component_weight=share, existence=existence
     )
     return _uncoupled(merged) if parameters.coupling == "marginal" else merged
 

@@ -199,6 +199,117 @@ def condition(
 
 
 @compiled
+def judge(
+    detection: FloatArray,
+    existence: FloatArray,
+    component_track: IntArray,
+    component_weight: FloatArray,
+    birth_track: IntArray,
+    source: IntArray,
+    existences: FloatArray,
+    type_weights: FloatArray,
+) -> None:
+    """Existence and type of every landmark under every hypothesis.
+
+    Args:
+        detection: (C0 + 1,) p_D of the sources; the components from C0 on are births.
+        existence: (T,) before, of births given that their path is free.
+        component_track: (C,).
+        component_weight: (C,).
+        birth_track: (J,) track born from each path, or -1.
+        source: (H, J) source of each path, or -1.
+        existences: (H, T) result.
+        type_weights: (H, C) result.
+    """
+    rows, paths = source.shape
+    components, tracks = len(component_track), len(existence)
+    surviving = component_weight.copy()
+    for c in range(len(detection) - 1):
+        surviving[c] *= 1.0 - detection[c + 1]
+    unseen = np.zeros(tracks)
+    for c in range(components):
+        unseen[component_track[c]] += surviving[c]
+    for h in range(rows):
+        for t in range(tracks):
+            missed = existence[t] * unseen[t]
+            existences[h, t] = missed / max(1.0 - existence[t] + missed, 1e-300)
+        for c in range(components):
+            type_weights[h, c] = surviving[c] / max(unseen[component_track[c]], 1e-300)
+        for j in range(paths):
+            if source[h, j] > 0:
+                detected = source[h, j] - 1
+                track = component_track[detected]
+                existences[h, track] = 1.0
+                for c in range(components):
+                    if component_track[c] == track:
+                        type_weights[h, c] = 1.0 if c == detected else 0.0
+            if birth_track[j] >= 0:
+                free = source[h, j] == -1
+                existences[h, birth_track[j]] = existence[birth_track[j]] if free else 0.0
+
+
+@compiled
+def place_births(
+    ue: FloatArray,
+    ue_height: float,
+    ue_covariance: FloatArray,
+    axes: FloatArray,
+    positions: FloatArray,
+    covariances: FloatArray,
+    position_gains: FloatArray,
+    placements: FloatArray,
+    spreads: FloatArray,
+    gains: FloatArray,
+) -> None:
+    """Births in their frames, of which the first axis points at them from the vehicle.
+
+    Args:
+        ue: (4,) the vehicle they were fitted to.
+        ue_height: [m].
+        ue_covariance: (4, 4).
+        axes: (B, 3, 3) of the frames.
+        positions: (B, 3) [m].
+        covariances: (B, 3, 3) of the positions.
+        position_gains: (B, 3, 4) d position / ds.
+        placements: (B, 3) result: q.
+        spreads: (B, 3, 3) result: covariance of q given the vehicle.
+        gains: (B, 3, 4) result: dq/ds.
+    """
+    local = np.empty((3, 3))
+    for birth in range(positions.shape[0]):
+        offset = positions[birth].copy()
+        offset[0] -= ue[0]
+        offset[1] -= ue[1]
+        offset[2] -= ue_height
+        reach = np.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
+        placements[birth, 0] = reach
+        placements[birth, 1] = 0.0
+        placements[birth, 2] = 0.0
+        # dq/dx where the tangents are zero: the axes, those across scaled by the range.
+        for r in range(3):
+            scale = 1.0 if r == 0 else 1.0 / reach
+            for c in range(3):
+                local[r, c] = axes[birth, c, r] * scale
+        for r in range(3):
+            for k in range(UE):
+                total = 0.0
+                for c in range(3):
+                    total += local[r, c] * position_gains[birth, c, k]
+                gains[birth, r, k] = total
+        for r in range(3):
+            for d in range(r + 1):
+                total = 0.0
+                for i in range(3):
+                    for j in range(3):
+                        total += local[r, i] * covariances[birth, i, j] * local[d, j]
+                for i in range(UE):
+                    for j in range(UE):
+                        total -= gains[birth, r, i] * ue_covariance[i, j] * gains[birth, d, j]
+                spreads[birth, r, d] = total
+                spreads[birth, d, r] = total
+
+
+@compiled
 def append(
     means: FloatArray,
     covariances: FloatArray,
@@ -255,23 +366,54 @@ def append(
 @compiled
 def merge(
     weight: FloatArray,
-    component_weight: FloatArray,
+    existences: FloatArray,
+    type_weights: FloatArray,
+    component_track: IntArray,
     means: FloatArray,
     covariances: FloatArray,
+    existence: FloatArray,
+    share: FloatArray,
     mean: FloatArray,
     covariance: FloatArray,
 ) -> None:
     """Moments over the hypotheses, each block with weights of its own.
 
     Args:
-        weight: (H,) of the vehicle's block.
-        component_weight: (H, C) of the components' blocks.
+        weight: (H,) W, of the vehicle's block; W r u is that of a component's block.
+        existences: (H, T) r.
+        type_weights: (H, C) u.
+        component_track: (C,).
         means: (H, n).
         covariances: (H, n, n).
+        existence: (T,) result.
+        share: (C,) result: probability of the component's type.
         mean: (n,) result.
         covariance: (n, n) result; between two blocks the weight is the geometric mean of theirs.
     """
     rows, n = means.shape
+    components, tracks = len(component_track), len(existence)
+    component_weight = np.empty((rows, components))
+    of_track = np.zeros(tracks)
+    existence[:] = 0.0
+    for h in range(rows):
+        for t in range(tracks):
+            existence[t] += weight[h] * existences[h, t]
+    for t in range(tracks):
+        existence[t] = min(existence[t], 1.0)
+    for c in range(components):
+        total = 0.0
+        for h in range(rows):
+            support = weight[h] * existences[h, component_track[c]] * type_weights[h, c]
+            component_weight[h, c] = support
+            total += support
+        # A component that no hypothesis supports is about to be dropped; any weights will do.
+        for h in range(rows):
+            component_weight[h, c] = component_weight[h, c] / total if total > 0.0 else weight[h]
+        share[c] = total
+        of_track[component_track[c]] += total
+    for c in range(components):
+        if of_track[component_track[c]] > 0.0:
+            share[c] /= of_track[component_track[c]]
     root = np.empty(n)
     deviation = np.empty((rows, n))
     mean[:] = 0.0

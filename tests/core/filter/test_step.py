@@ -169,7 +169,7 @@ def test_predict_moves_the_vehicle_and_its_correlations_only() -> None:
 @pytest.mark.parametrize("coupling", ["joint", "marginal"])
 def test_an_empty_set_is_a_prediction_and_misses(coupling: str) -> None:
     parameters = FilterParameters(coupling=coupling)
-    state = with_map(parameters, np.array([[200.0, 0.0, 40.0], [300.0, 0.0, 5.0]]), [1, 2])
+    state = with_map(parameters, np.array([[200.0, 0.0, 40.0], [128.0, 0.0, 5.0]]), [1, 2])
     outcome = step(state, empty_set(), [SPAN], SPEED, parameters)
     predicted = predict(state, [SPAN], parameters)
     np.testing.assert_allclose(outcome.state.ue_mean, predicted.ue_mean)
