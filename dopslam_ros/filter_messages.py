@@ -14,6 +14,7 @@ from dopslam_ros import topics
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import LandmarkEstimates
+from dopslam_ros.core.parameters import parameter
 from dopslam_ros.core.session import FilterOutput
 from dopslam_ros.messages import (
     BS_ID,
@@ -36,6 +37,23 @@ COLOURS = {
 }
 
 
+@dataclass(frozen=True)
+class DrawingParameters:
+    """How often and how long what is only drawn is sent: it grows, and eyes are slow."""
+
+    path_poses: int = parameter(1000, "Most poses that the path keeps.", low=1, high=1_000_000)
+    path_period: float = parameter(
+        0.5,
+        "Least time between two poses of the path, and between two paths.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+    markers_period: float = parameter(
+        0.2, "Least time between two arrays of markers.", unit="s", low=0.0, high=3600.0
+    )
+
+
 @dataclass
 class FilterMessages:
     """Turns filter outputs into messages; remembers the path driven and the markers shown.
@@ -45,21 +63,26 @@ class FilterMessages:
         bs: (3,) position of the BS [m].
         ue_height: height of the vehicle's antenna [m].
         frames: names of the frames.
-        path_poses: most poses that the path keeps.
+        drawing: how often what is only drawn is sent.
     """
 
     types: Types
     bs: FloatArray
     ue_height: float = 0.0
     frames: Frames = field(default_factory=Frames)
-    path_poses: int = 1000
+    drawing: DrawingParameters = field(default_factory=DrawingParameters)
 
     def __post_init__(self) -> None:
         self._poses: list[Any] = []
+        self._sent: dict[str, int] = {}
         self._shown: set[tuple[str, int]] = set()
 
     def of(self, output: FilterOutput) -> list[tuple[topics.Topic, Any]]:
-        """All messages of one output, in the order in which they are to be sent."""
+        """The messages of one output, in the order in which they are to be sent.
+
+        Path and markers come with some outputs only, chosen by their times, so that a replay
+        chooses the same.
+        """
         types, frames, time_ns = self.types, self.frames, output.stamp_ns
         mean, covariance = output.state.ue_mean, output.state.ue_covariance
         header = make_header(types, time_ns, frames.map)
@@ -67,8 +90,6 @@ class FilterMessages:
         with_covariance = types("geometry_msgs/msg/PoseWithCovariance")(
             pose=pose, covariance=_pose_covariance(covariance)
         )
-        self._poses.append(types("geometry_msgs/msg/PoseStamped")(header=header, pose=pose))
-        del self._poses[: -self.path_poses]
         odometry = types(topics.ODOMETRY.type_name)(
             header=header,
             child_frame_id=frames.base,
@@ -77,17 +98,32 @@ class FilterMessages:
                 twist=make_twist(types, output.control), covariance=np.zeros(36)
             ),
         )
-        return [
+        messages = [
             (topics.UE_STATE, make_ue_state(types, time_ns, mean, covariance, frames)),
             (
                 topics.UE_POSE,
                 types(topics.UE_POSE.type_name)(header=header, pose=with_covariance),
             ),
             (topics.ODOMETRY, odometry),
-            (topics.PATH, types(topics.PATH.type_name)(header=header, poses=list(self._poses))),
             (topics.LANDMARKS, make_map(types, time_ns, output.landmarks, self.bs, frames)),
-            (topics.LANDMARK_MARKERS, self._markers(time_ns, output.landmarks)),
         ]
+        if self._due(topics.PATH, time_ns, self.drawing.path_period):
+            self._poses.append(types("geometry_msgs/msg/PoseStamped")(header=header, pose=pose))
+            del self._poses[: -self.drawing.path_poses]
+            path = types(topics.PATH.type_name)(header=header, poses=list(self._poses))
+            messages.append((topics.PATH, path))
+        if self._due(topics.LANDMARK_MARKERS, time_ns, self.drawing.markers_period):
+            markers = self._markers(time_ns, output.landmarks)
+            messages.append((topics.LANDMARK_MARKERS, markers))
+        return messages
+
+    def _due(self, topic: topics.Topic, time_ns: int, period: float) -> bool:
+        """Whether the last one is long enough ago."""
+        last = self._sent.get(topic.name)
+        due = last is None or not 0 <= time_ns - last < round(period * 1e9)
+        if due:
+            self._sent[topic.name] = time_ns
+        return due
 
     def _pose(self, mean: FloatArray) -> Any:
         x, y, heading, _ = (float(v) for v in mean)

@@ -26,7 +26,7 @@ from dopslam_ros.core.session import (
     WorldState,
 )
 from dopslam_ros.core.study import bounds_parameters_for
-from dopslam_ros.filter_messages import FilterMessages
+from dopslam_ros.filter_messages import DrawingParameters, FilterMessages
 from dopslam_ros.messages import (
     Frames,
     MapArrays,
@@ -124,12 +124,15 @@ def replay(
     frames = Frames(
         str(settings.get("map_frame", Frames.map)), str(settings.get("base_frame", Frames.base))
     )
-    path_poses = int(settings.get("path_poses", FilterMessages.path_poses))
+    drawn = {d.name for d in declarations(DrawingParameters)}
+    drawing = from_mapping(
+        DrawingParameters, {name: value for name, value in settings.items() if name in drawn}
+    )
     filter_settings = {name: value for name, value in settings.items() if name in known}
     parameters = from_mapping(FilterParameters, {**filter_settings, **(overrides or {})})
 
     has_truth = prefix + topics.TRUTH_UE.name in reader.topics
-    run = _Run(parameters, frames, path_poses, prefix, has_truth, writer)
+    run = _Run(parameters, frames, drawing, prefix, has_truth, writer)
     if writer is not None:
         _announce(reader, writer, prefix)
         run.write_parameters(reader, settings, overrides or {})
@@ -147,7 +150,7 @@ class _Run:
         self,
         parameters: FilterParameters,
         frames: Frames,
-        path_poses: int,
+        drawing: DrawingParameters,
         prefix: str,
         has_truth: bool,
         writer: BagWriter | None,
@@ -157,7 +160,7 @@ class _Run:
         self._filter = FilterSession(parameters)
         self._bounds = BoundsSession(bounds_parameters_for(parameters))
         self._messages = FilterMessages(
-            message_class, parameters.bs, parameters.ue_height, frames, path_poses
+            message_class, parameters.bs, parameters.ue_height, frames, drawing
         )
         self._frames = frames
         self._prefix = prefix

@@ -21,7 +21,7 @@ from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import Control
 from dopslam_ros.core.refusal import Refused
 from dopslam_ros.core.session import FilterOutput
-from dopslam_ros.filter_messages import FilterMessages
+from dopslam_ros.filter_messages import DrawingParameters, FilterMessages
 from dopslam_ros.messages import (
     Frames,
     make_control,
@@ -89,7 +89,8 @@ def keys(array: Any, action: int) -> set[tuple[str, int]]:
 
 def make() -> FilterMessages:
     """A fresh converter."""
-    return FilterMessages(message_class, BS, ue_height=1.5, frames=Frames("world", "car"))
+    drawing = DrawingParameters(markers_period=0.0)
+    return FilterMessages(message_class, BS, 1.5, Frames("world", "car"), drawing)
 
 
 def test_markers_have_a_namespace_per_type() -> None:
@@ -174,13 +175,28 @@ def test_a_degenerate_covariance_is_drawn() -> None:
 
 def test_the_path_is_bounded() -> None:
     """Of a long drive the newest poses stay, and a message once made does not change."""
-    messages = FilterMessages(message_class, BS, path_poses=3)
+    messages = FilterMessages(message_class, BS, drawing=DrawingParameters(path_poses=3))
     paths = []
     for number in range(1, 6):
         found = dict((t.name, m) for t, m in messages.of(output(landmarks(), number * 10**9)))
         paths.append(found[topics.PATH.name])
     seconds = [[p.header.stamp.sec for p in path.poses] for path in paths]
     assert seconds == [[1], [1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]]
+
+
+def test_what_is_only_drawn_is_paced_by_the_time_of_the_sets() -> None:
+    """At 100 Hz: a pose of the path every 0.5 s, markers every 0.2 s; state and map each time."""
+    messages = FilterMessages(message_class, BS)
+    sent: dict[str, list[int]] = {}
+    for number in range(101):
+        for topic, _ in messages.of(output(landmarks((1, VA)), 10**9 + number * 10**7)):
+            sent.setdefault(topic.name, []).append(number)
+    assert sent[topics.PATH.name] == [0, 50, 100]
+    assert sent[topics.LANDMARK_MARKERS.name] == [0, 20, 40, 60, 80, 100]
+    assert len(sent[topics.UE_STATE.name]) == len(sent[topics.LANDMARKS.name]) == 101
+    # A recording that begins anew is shown at once.
+    names = [topic.name for topic, _ in messages.of(output(landmarks(), 10**9))]
+    assert topics.PATH.name in names
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, -2.5, np.pi, -np.pi + 1e-9])

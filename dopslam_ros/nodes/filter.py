@@ -13,13 +13,13 @@ from dopslam_ros.bag import message_class
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import commented_yaml, parameter
 from dopslam_ros.core.session import FilterOutput, FilterSession
-from dopslam_ros.filter_messages import FilterMessages
+from dopslam_ros.filter_messages import DrawingParameters, FilterMessages
 from dopslam_ros.messages import Frames, make_text, read_control, read_measurements, stamp_ns
 from dopslam_ros.nodes.runtime import DopslamNode, serve
 
 
 @dataclass(frozen=True)
-class FilterNodeParameters(FilterParameters):
+class FilterNodeParameters(DrawingParameters, FilterParameters):
     """The filter's settings and the node's own."""
 
     map_frame: str = parameter("map", "Frame of everything that is estimated.")
@@ -27,7 +27,6 @@ class FilterNodeParameters(FilterParameters):
     wait_for_nodes: str = parameter(
         "", "Names of nodes, separated by commas, that must get the results before any is made."
     )
-    path_poses: int = parameter(1000, "Most poses that the path keeps.", low=1, high=1_000_000)
 
 
 class FilterNode(DopslamNode):
@@ -39,7 +38,7 @@ class FilterNode(DopslamNode):
         self._session = FilterSession(p)
         frames = Frames(p.map_frame, p.base_frame)
         self._messages = FilterMessages(
-            message_class, np.array(p.bs_position), p.ue_height, frames, p.path_poses
+            message_class, np.array(p.bs_position), p.ue_height, frames, p
         )
         self._outputs = {t.name: self.output(t) for t in topics.OUTPUTS if t != topics.BOUNDS}
         self._outputs[topics.FILTER_PARAMETERS.name].publish(
