@@ -14,6 +14,7 @@ landmarks, or a landmark and the vehicle, have in common beyond the anchors.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indic
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter.sleepers import Sleepers
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
+from dopslam_ros.core.kernels.asleep import left_behind
 
 # Standard deviations beyond the field of view at which a detection is out of the question.
 MARGIN = 5.0
@@ -37,15 +39,22 @@ SMALLEST_CELL = 1.0
 
 def fall_asleep(state: FilterState, parameters: FilterParameters) -> FilterState:
     """Puts SPs aside that the vehicle has left behind."""
-    scattered = state.component_type == LandmarkType.SP
-    offset = state.positions[:, :2] - state.ue_mean[:2]
-    spread = np.sqrt(np.trace(state.position_covariances, axis1=1, axis2=2))
-    reach = parameters.sp_field_of_view + MARGIN * spread
-    limit = reach + _blur(state) + HYSTERESIS * parameters.sp_field_of_view
-    stays = ~scattered | (np.hypot(offset[:, 0], offset[:, 1]) <= limit)
+    reach, leaving = np.empty(len(state.component_track)), np.empty(len(state.track_id), np.bool_)
+    view = parameters.sp_field_of_view
     # A track of open type stays: as a VA it is in view.
-    leaving = np.bincount(state.component_track, stays, minlength=len(state.track_id)) == 0.0
-    if not leaving.any():
+    if not left_behind(
+        state.mean,
+        state.covariance,
+        state.origin,
+        state.axes,
+        state.component_track,
+        state.component_type,
+        view,
+        MARGIN,
+        HYSTERESIS * view,
+        reach,
+        leaving,
+    ):
         return state
     asleep = state.asleep
     remembered = np.flatnonzero((leaving & (state.existence >= FORGOTTEN))[state.component_track])
@@ -98,7 +107,7 @@ def as_of_now(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, Float
 
 def _blur(state: FilterState) -> float:
     """How far the vehicle may be from where it seems to be [m]."""
-    return MARGIN * float(np.sqrt(np.trace(state.ue_covariance[:2, :2])))
+    return MARGIN * math.sqrt(state.covariance[0, 0] + state.covariance[1, 1])
 
 
 def _cell_size(parameters: FilterParameters) -> float:
