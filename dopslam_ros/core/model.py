@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -80,27 +81,27 @@ class ModelParameters:
         increasing=True,
     )
 
-    @property
+    @cached_property
     def bs(self) -> FloatArray:
         """(3,) position of the base station [m]."""
         return np.array(self.bs_position)
 
-    @property
+    @cached_property
     def noise(self) -> FloatArray:
         """(6, 6) measurement covariance R; NaN on the diagonal where nothing is measured."""
         return np.diag(np.square(self.measurement_noise_std))
 
-    @property
+    @cached_property
     def used_components(self) -> BoolArray:
         """(6,) which components are measured and used."""
         return np.isfinite(self.measurement_noise_std)
 
-    @property
+    @cached_property
     def noise_rate(self) -> FloatArray:
         """(4,) variance that the process noise adds per second."""
         return np.square(self.process_noise_std) / self.process_noise_period
 
-    @property
+    @cached_property
     def initial_covariance(self) -> FloatArray:
         """(4, 4) covariance of the initial state."""
         return np.diag(np.square(self.initial_std))

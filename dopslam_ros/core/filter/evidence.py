@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 from scipy.stats import chi2
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, symmetrise
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.channel import DIM, LandmarkType, observe, residual
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
-from dopslam_ros.core.kernels.evidence import log_likelihoods, project
+from dopslam_ros.core.kernels import evidence as kernels
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import detection_probabilities
 
@@ -57,15 +57,19 @@ class Evidence:
 
 def prepare(measurements: MeasurementSet, parameters: FilterParameters) -> Observed:
     """Fills in the parameter's covariance where a path has none and masks what is not used."""
-    used = measurements.measured & parameters.used_components
-    given = (measurements.covariances != 0.0).any(axis=(1, 2))
-    noise = np.where(given[:, None, None], measurements.covariances, parameters.noise)
-    both = used[:, :, None] & used[:, None, :]
-    return Observed(
-        values=np.where(used, measurements.values, np.nan),
-        used=used,
-        noise=symmetrise(np.where(both, noise, np.eye(DIM))),
+    count = len(measurements)
+    values, used = np.empty((count, DIM)), np.empty((count, DIM), np.bool_)
+    noise = np.empty((count, DIM, DIM))
+    kernels.prepare(
+        np.ascontiguousarray(measurements.values, dtype=np.float64),
+        np.ascontiguousarray(measurements.covariances, dtype=np.float64),
+        parameters.used_components,
+        parameters.noise,
+        values,
+        used,
+        noise,
     )
+    return Observed(values, used, noise)
 
 
 def masked_residual(observed: Observed, expected: FloatArray) -> FloatArray:
@@ -102,7 +106,7 @@ def weigh(
     projected = _projected_covariance(state, paths.ue_jacobian, b)
     shape = (len(positions), len(observed.values))
     innovation, log_likelihood = np.empty((*shape, DIM)), np.empty(shape)
-    if not log_likelihoods(
+    if not kernels.log_likelihoods(
         projected,
         paths.mean,
         paths.degenerate,
@@ -143,7 +147,7 @@ def _projected_covariance(state: FilterState, a: FloatArray, b: FloatArray) -> F
     A (C + 1, d, 4) and B (C + 1, d, 3); B of source 0, the BS, does not count.
     """
     projected = np.empty((len(a), a.shape[1], a.shape[1]))
-    project(a, b, state.covariance, projected)
+    kernels.project(a, b, state.covariance, projected)
     return projected
 
 

@@ -16,6 +16,43 @@ ARRIVAL, DEPARTURE = AZIMUTHS
 
 
 @compiled
+def prepare(
+    values: FloatArray,
+    covariances: FloatArray,
+    used_components: BoolArray,
+    default_noise: FloatArray,
+    kept: FloatArray,
+    used: BoolArray,
+    noise: FloatArray,
+) -> None:
+    """Masks what is not used and fills in the noise of paths that have none of their own.
+
+    Args:
+        values: (J, 6), NaN where not measured.
+        covariances: (J, 6, 6), zero where the default is meant.
+        used_components: (6,).
+        default_noise: (6, 6).
+        kept: (J, 6) result: values, NaN where they do not count.
+        used: (J, 6) result: which count.
+        noise: (J, 6, 6) result: symmetric, unit where it does not count.
+    """
+    for j in range(values.shape[0]):
+        given = False
+        for k in range(DIM):
+            used[j, k] = used_components[k] and math.isfinite(values[j, k])
+            kept[j, k] = values[j, k] if used[j, k] else math.nan
+            for i in range(DIM):
+                given = given or covariances[j, k, i] != 0.0
+        source = covariances[j] if given else default_noise
+        for k in range(DIM):
+            for i in range(DIM):
+                if used[j, k] and used[j, i]:
+                    noise[j, k, i] = 0.5 * (source[k, i] + source[i, k])
+                else:
+                    noise[j, k, i] = 1.0 if i == k else 0.0
+
+
+@compiled
 def project(
     a: FloatArray,
     b: FloatArray,
