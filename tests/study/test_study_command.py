@@ -225,7 +225,7 @@ def test_damaged_parts_are_done_again(
         (["--out", "{tmp}"], 1, ["is not empty and holds no study"]),
         (["--out", "{tmp}/file"], 1, ["file"]),
         (["--scheduler", "tcp://x:1", "--workers", "2"], 2, ["--workers", "--scheduler"]),
-        (["--scheduler", "x"], 1, ["no Dask scheduler at 'x'", "dask scheduler"]),
+        (["--scheduler", "x"], 1, ["Dask"]),
         (["--json", "{tmp}/no/s.json"], 2, ["s.json", "folder that exists"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
