@@ -14,14 +14,13 @@ import numpy as np
 from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices, symmetrise, wrap_angle
 from dopslam_ros.core.bounds import DIFFUSE_STD
 from dopslam_ros.core.channel import DIM, LandmarkType, observe
-from dopslam_ros.core.filter import placement
+from dopslam_ros.core.filter import LandmarkEstimates, placement
 from dopslam_ros.core.filter.birth import propose
 from dopslam_ros.core.filter.evidence import Observed, masked_residual, prepare
 from dopslam_ros.core.filter.state import (
     UE,
     UNKNOWN_TYPES,
     FilterParameters,
-    LandmarkEstimates,
     initial_filter_state,
 )
 from dopslam_ros.core.measurements import MeasurementSet
