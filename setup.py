@@ -50,6 +50,8 @@ setup(
         "mcap>=1.5,<2",
     ],
     extras_require={
+        # For `dopslam study` on a cluster; threadpoolctl also keeps local studies to one thread.
+        "cluster": ["distributed>=2024.1,<2027", "threadpoolctl>=3.1,<4"],
         # colcon test looks for pytest here; without it, it runs no test and reports success.
         "test": [
             "pytest>=7.4,<10",
@@ -58,6 +60,8 @@ setup(
             "mypy>=1.10,<3",
             "ruff>=0.6,<1",
             "types-PyYAML>=6.0,<7",
+            "distributed>=2024.1,<2027",
+            "threadpoolctl>=3.1,<4",
         ],
     },
     zip_safe=False,

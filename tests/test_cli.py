@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +19,7 @@ from dopslam_ros.core.parameters import to_mapping
 from dopslam_ros.published import published
 
 if TYPE_CHECKING:
-    from tests.conftest import LiveRun, Process, Processes
+    from tests.conftest import LiveRun, Processes
 
 STEPS = 8
 TIMES = ("step_ms_p50", "step_ms_p99")
@@ -134,7 +132,8 @@ def test_what_cannot_be_done(
     [
         ["study", "--runs", "0"],
         ["study", "--runs", "many"],
-        ["study", "--coupling", "loose"],
+        ["study", "--doppler", "0.1", "-0.1"],
+        ["study", "--doppler", "0.1", "no"],
         ["bounds", "--sigma-d", "-0.1"],
         ["bounds", "--sigma-d", "nan"],
         ["demo", "--rate", "0"],
@@ -313,106 +312,6 @@ def test_replay_of_a_bag_with_no_messages(tmp_path: Path, capsys: Capture) -> No
     captured = capsys.readouterr()
     assert code == 0, captured.err
     assert strict(tmp_path / "r.json")["steps"] == 0
-
-
-# --- study ---------------------------------------------------------------------------------------
-
-
-def test_study_json(tmp_path: Path, scene: Path) -> None:
-    """The same numbers as a replay, averaged, and what only many runs tell; workers change none."""
-    results = []
-    for workers in (1, 2):
-        file = tmp_path / f"{workers}.json"
-        command = ["study", "--scenario", scene, "--runs", 3, "--seed", 2]
-        assert run(*command, "--workers", workers, "--json", file) == 0
-        results.append(strict(file))
-    first, second = ({k: v for k, v in r.items() if k not in TIMES} for r in results)
-    assert first == second
-    assert first["runs"] == 3 and first["steps"] == STEPS
-    for key in (
-        "position_rmse",
-        "heading_rmse_deg",
-        "clock_bias_rmse",
-        "nees_mean",
-        "correct_association_weight",
-        "bound_position_rms",
-        "bound_heading_rms_deg",
-        "bound_clock_rms",
-    ):
-        assert 0.0 < first[key] < 20.0, key
-    assert first["correct_association_weight"] <= 1.0
-    assert len(first["gospa_va"]) == len(first["gospa_sp"]) == STEPS
-    assert all(0.0 < results[0][key] < 1000.0 for key in TIMES)
-
-
-def test_study_variants(tmp_path: Path, scene: Path) -> None:
-    """Without Doppler, and in the paper's marginal form: other numbers; the JSON says which."""
-    variants: dict[str, list[str]] = {
-        "plain": [],
-        "blind": ["--no-doppler"],
-        "marginal": ["--coupling", "marginal"],
-        "both": ["--no-doppler", "--coupling", "marginal"],
-    }
-    results = {}
-    for name, options in variants.items():
-        file = tmp_path / f"{name}.json"
-        command = ["study", "--scenario", scene, "--runs", 3, "--workers", 1, "--json", file]
-        assert run(*command, *options) == 0
-        results[name] = strict(file)
-        assert results[name]["doppler"] is ("--no-doppler" not in options)
-        assert results[name]["coupling"] == ("marginal" if "marginal" in options else "joint")
-    assert len({r["position_rmse"] for r in results.values()}) == 4
-    bounds = {name: r["bound_position_rms"] for name, r in results.items()}
-    assert bounds["plain"] == bounds["marginal"] < bounds["blind"] == bounds["both"]
-
-
-def test_a_seed_makes_a_study(tmp_path: Path, scene: Path) -> None:
-    """The same seed gives the same study, another one another."""
-    numbers = []
-    for seed in (1, 1, 2):
-        file = tmp_path / "s.json"
-        command = ["study", "--scenario", scene, "--runs", 1, "--seed", seed, "--workers", 1]
-        assert run(*command, "--json", file) == 0
-        numbers.append(strict(file)["position_rmse"])
-    assert numbers[0] == numbers[1] != numbers[2]
-
-
-def children_seconds(parent: int) -> list[float]:
-    """How long each child of a process has computed [s]."""
-    children = Path(f"/proc/{parent}/task/{parent}/children").read_text("utf-8").split()
-    texts = [Path(f"/proc/{child}/stat").read_text("utf-8") for child in children]
-    ticks = [int(text.rpartition(")")[2].split()[11]) for text in texts]
-    return [tick / os.sysconf("SC_CLK_TCK") for tick in ticks]
-
-
-def check_stopped(process: Process, code: int) -> None:
-    """It ended at Ctrl-C and said so, and no more."""
-    assert code == 130, process.stderr
-    assert "Traceback" not in process.stderr
-    assert process.stderr.strip().splitlines()[-1] == "dopslam: stopped"
-
-
-def test_ctrl_c_ends_a_long_study(
-    processes: Processes, scene: Path, wait: Callable[..., None]
-) -> None:
-    """At Ctrl-C what has not begun is given up."""
-    process = processes.dopslam("study", "--scenario", scene, "--runs", 3000, "--workers", 2)
-    wait(lambda: sum(busy > 0.2 for busy in children_seconds(process.popen.pid)) >= 2)
-    begin = time.monotonic()
-    check_stopped(process, process.stop())
-    assert time.monotonic() - begin < 10.0
-
-
-def test_ctrl_c_in_a_terminal_reaches_the_workers(
-    processes: Processes, tmp_path: Path, wait: Callable[..., None]
-) -> None:
-    """A terminal sends Ctrl-C to all: the workers, one of them idle, say nothing of it."""
-    file = tmp_path / "long.yaml"
-    controls = "[{steps: 200, speed: 22.22, turn_rate: 0.3141592653589793}]"
-    file.write_text(f"base: paper\ncontrols: {controls}\n", "utf-8")
-    process = processes.dopslam("study", "--scenario", file, "--runs", 1, "--workers", 2)
-    wait(lambda: any(busy > 0.2 for busy in children_seconds(process.popen.pid)))
-    check_stopped(process, process.interrupt_all())
 
 
 # --- parameters ----------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import numpy as np
 from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices, symmetrise, wrap_angle
 from dopslam_ros.core.bounds import DIFFUSE_STD
 from dopslam_ros.core.channel import DIM, LandmarkType, observe
-from dopslam_ros.core.filter import placement
+from dopslam_ros.core.filter import LandmarkEstimates, placement
 from dopslam_ros.core.filter.birth import propose
 from dopslam_ros.core.filter.evidence import Observed, masked_residual, prepare
 from dopslam_ros.core.filter.state import (
@@ -51,7 +51,19 @@ class GenieState:
     @property
     def positions(self) -> FloatArray:
         """(L, 3) of the landmarks [m]."""
-        return placement.positions(self.origin, self.axes, self.mean[UE:].reshape(-1, 3))
+        return placement.positions(self.origin, self.axes, self._placements)
+
+    @property
+    def position_covariances(self) -> FloatArray:
+        """(L, 3, 3) of the positions, to first order [m^2]."""
+        index = block_indices(UE, np.arange(len(self.sources)), 3)
+        blocks = self.covariance[index[:, :, None], index[:, None, :]]
+        jacobian = placement.jacobians(self.axes, self._placements)
+        return symmetrise(jacobian @ blocks @ np.swapaxes(jacobian, 1, 2))
+
+    @property
+    def _placements(self) -> FloatArray:
+        return self.mean[UE:].reshape(-1, 3)
 
 
 def initial_genie(parameters: FilterParameters) -> GenieState:
@@ -96,6 +108,29 @@ def genie_step(
     ready, kept = _with_new_landmarks(predicted, observed, sources[real], types, speed, parameters)
     observed = Observed(observed.values[kept], observed.used[kept], observed.noise[kept])
     return _update(ready, observed, sources[real][kept], types, speed, parameters)
+
+
+def genie_landmarks(
+    state: GenieState, types: IntArray, parameters: FilterParameters
+) -> LandmarkEstimates:
+    """The landmarks seen whose place is known as well as the other filters must know it.
+
+    Args:
+        state: after a step.
+        types: (1 + I,) true types by source number.
+        parameters: with ``report_std``.
+    """
+    covariances = state.position_covariances
+    shown = np.sqrt(np.trace(covariances, axis1=1, axis2=2)) <= parameters.report_std
+    kinds = types[state.sources[shown]]
+    return LandmarkEstimates(
+        ids=state.sources[shown],
+        types=kinds,
+        type_probabilities=np.eye(len(LandmarkType))[kinds],
+        existence=np.ones(len(kinds)),
+        positions=state.positions[shown],
+        covariances=covariances[shown],
+    )
 
 
 def _with_new_landmarks(

@@ -184,11 +184,11 @@ def parse_assignment(text: str) -> tuple[str, object]:
     """
     name, equals, value = text.partition("=")
     if not equals:
-        raise ParameterError(f"{text!r}: write NAME=VALUE")
+        raise ParameterError(f"{text}: write NAME=VALUE")
     try:
         parsed = yaml.safe_load(value)
     except yaml.YAMLError as error:
-        raise ParameterError(f"{text!r}: the value is not YAML: {error}") from error
+        raise ParameterError(f"{text}: the value is not YAML: {error}") from error
     if isinstance(parsed, str):  # YAML takes 1e-3 for a text
         with contextlib.suppress(ValueError):
             return name.strip(), float(parsed)

@@ -133,7 +133,7 @@ def _compute(collection: Collection, options: Any, failed: list[Outcome]) -> Non
 
 def _outcomes(plan: Plan, tasks: Sequence[Task], options: Any) -> Generator[Outcome, None, None]:
     if options.scheduler is not None:
-        yield from run_on_dask(plan, tasks, options.scheduler)
+        yield from run_on_dask(plan, tasks, options.scheduler, _say)
         return
     if not blas_is_limited():
         _say(

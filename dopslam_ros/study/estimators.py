@@ -11,13 +11,13 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices
+from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import Associations, FilterParameters, LandmarkEstimates
 from dopslam_ros.core.filter.state import UE
 from dopslam_ros.core.filter.step import BS_ID
-from dopslam_ros.core.genie import genie_step, initial_genie
+from dopslam_ros.core.genie import genie_landmarks, genie_step, initial_genie
 from dopslam_ros.core.motion import Control, ControlSpan, predict_covariance, propagate_spans
 from dopslam_ros.core.parameters import (
     ParameterError,
@@ -25,6 +25,7 @@ from dopslam_ros.core.parameters import (
     parse_assignment,
     unknown_name,
 )
+from dopslam_ros.core.phd import initial_phd, phd_landmarks, phd_step
 from dopslam_ros.core.scenario import Scenario
 from dopslam_ros.core.session import FilterSession
 from dopslam_ros.core.simulator import CLUTTER, Snapshot, all_landmarks
@@ -179,25 +180,30 @@ class GenieEstimator:
             snapshot.control.speed,
             self._parameters,
         )
+        landmarks = genie_landmarks(self._state, self._types, self._parameters)
+        seconds = time.perf_counter() - started
         mean, covariance = self._state.mean[:UE], self._state.covariance[:UE, :UE]
-        landmarks = self._landmarks()
-        return Estimate(mean, covariance, landmarks, math.nan, time.perf_counter() - started)
+        return Estimate(mean, covariance, landmarks, math.nan, seconds)
 
-    def _landmarks(self) -> LandmarkEstimates:
-        """Those whose place is known as well as the other filters must know it to report them."""
-        index = block_indices(UE, np.arange(len(self._state.sources)), 3)
-        covariances = self._state.covariance[index[:, :, None], index[:, None, :]]
-        spread = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
-        shown = spread <= self._parameters.report_std
-        types = self._types[self._state.sources[shown]]
-        return LandmarkEstimates(
-            ids=self._state.sources[shown],
-            types=types,
-            type_probabilities=np.eye(len(LandmarkType))[types],
-            existence=np.ones(len(types)),
-            positions=self._state.mean[index[shown]],
-            covariances=covariances[shown],
+
+class PhdEstimator:
+    """The EK-PHD filter, whose map is an intensity."""
+
+    def __init__(self, scenario: Scenario, parameters: FilterParameters) -> None:
+        self._parameters = parameters
+        self._state = initial_phd(parameters)
+        self._odometry = Odometry()
+
+    def step(self, snapshot: Snapshot) -> Estimate:
+        """Takes in the next snapshot."""
+        started = time.perf_counter()
+        spans, speed = self._odometry.spans(snapshot), snapshot.control.speed
+        self._state = state = phd_step(
+            self._state, snapshot.measurements, spans, speed, self._parameters
         )
+        landmarks = phd_landmarks(state, self._parameters)
+        seconds = time.perf_counter() - started
+        return Estimate(state.ue_mean, state.ue_covariance, landmarks, math.nan, seconds)
 
 
 class DeadReckoning:
@@ -295,6 +301,7 @@ KINDS: dict[str, Kind] = {
         {"density": "pmbm"},
         SessionEstimator,
     ),
+    "phd": Kind("EK-PHD, whose map is an intensity without identities", {}, PhdEstimator),
     "genie": Kind("iterated EKF that is told the true association", {}, GenieEstimator),
     "dead_reckoning": Kind("the controls alone, no path used", {}, DeadReckoning),
 }

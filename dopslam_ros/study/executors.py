@@ -11,12 +11,13 @@ import asyncio
 import contextlib
 import importlib
 import importlib.util
+import logging
 import multiprocessing
 import os
 import signal
 import threading
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
@@ -74,7 +75,9 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def run_on_dask(plan: Plan, tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
+def run_on_dask(
+    plan: Plan, tasks: Sequence[Task], address: str, say: Callable[[str], None]
+) -> Iterator[Outcome]:
     """Computes tasks on the workers of a Dask scheduler, and yields each as it ends.
 
     The workers need this package. A task whose worker is lost is done again by another one.
@@ -83,6 +86,7 @@ def run_on_dask(plan: Plan, tasks: Sequence[Task], address: str) -> Iterator[Out
         plan: the study.
         tasks: those to do.
         address: of the scheduler, as tcp://host:port.
+        say: is told what keeps the study waiting.
 
     Raises:
         StudyError: Dask is not installed, no scheduler answers, or it was lost.
@@ -93,9 +97,14 @@ def run_on_dask(plan: Plan, tasks: Sequence[Task], address: str) -> Iterator[Out
         raise StudyError(
             "--scheduler needs Dask: pip install 'dopslam_ros[cluster]', or 'distributed' alone"
         ) from error
+    for name in ("distributed", "distributed.client"):
+        # What goes wrong comes as an exception, and is told in one line.
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     _find_scheduler(distributed, address)
-    client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    client = distributed.Client(address, timeout=CONNECT_SECONDS)
     try:
+        if not client.scheduler_info()["workers"]:
+            say(f"'{address}' has no workers yet: the study waits for 'dask worker {address}'")
         one = partial(_execute_on_dask, plan, software())
         futures = client.map(one, tasks, pure=False, key="dopslam-study")
         sent = {future.key: task for future, task in zip(futures, tasks, strict=True)}

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 import scipy
 
@@ -101,7 +102,12 @@ def doppler_name(doppler: float | None) -> str:
 
 def software() -> dict[str, str]:
     """The versions that numbers depend on."""
-    return {"dopslam_ros": __version__, "numpy": np.__version__, "scipy": scipy.__version__}
+    return {
+        "dopslam_ros": __version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "numba": numba.__version__,
+    }
 
 
 def plan_content(plan: Plan) -> dict[str, Any]:

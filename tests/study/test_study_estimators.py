@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.assignment import UNASSIGNED
@@ -111,7 +112,10 @@ def test_the_genie_reports_the_true_landmarks(short: Scenario) -> None:
     assert len(last.ids) >= 5
     for source, kind, place in zip(last.ids, last.types, last.positions, strict=True):
         assert kind == short.landmark_types[source - 1]
-        assert np.linalg.norm(place - short.landmarks[source - 1]) < 10.0
+        error = place - short.landmarks[source - 1]
+        assert np.linalg.norm(error) < 10.0
+        covariance = last.covariances[last.ids == source][0]
+        assert error @ np.linalg.solve(covariance, error) < chi2.ppf(0.9999, 3)
     assert np.all(last.type_probabilities[np.arange(len(last.ids)), last.types] == 1.0)
     assert LandmarkType.BS not in last.types
 
