@@ -28,7 +28,7 @@ from dopslam_ros.core.parameters import (
 from dopslam_ros.core.phd import initial_phd, phd_landmarks, phd_step
 from dopslam_ros.core.scenario import Scenario
 from dopslam_ros.core.session import FilterSession
-from dopslam_ros.core.simulator import CLUTTER, Snapshot, all_landmarks
+from dopslam_ros.core.simulator import Snapshot, all_landmarks
 from dopslam_ros.core.study import filter_parameters_for
 
 
@@ -246,10 +246,13 @@ class Odometry:
 
 
 class SourceTracker:
-    """Remembers which track stands for which true landmark: the one born from its path."""
+    """Remembers which track stands for which true landmark: the one that got most of its paths.
+
+    What counts is the weight with which each path was given to a track, or gave birth to it.
+    """
 
     def __init__(self) -> None:
-        self._owner: dict[int, int] = {}
+        self._fed: dict[tuple[int, int], float] = {}
 
     def correct_weight(
         self, snapshot: Snapshot, associations: Associations, known: IntArray
@@ -261,19 +264,29 @@ class SourceTracker:
             associations: of the filter at this snapshot.
             known: ids of the tracks before the snapshot.
         """
-        alive = set(known.tolist())
-        self._owner = {source: track for source, track in self._owner.items() if track in alive}
-        true = np.array([self._true_id(source) for source in snapshot.sources.tolist()])
-        right = (associations.ids == true).all(axis=1)
-        for source, born in zip(snapshot.sources.tolist(), associations.born.tolist(), strict=True):
-            if source > 0 and born != UNASSIGNED:
-                self._owner.setdefault(source, born)
+        owners = self._owners(set(known.tolist()))
+        true = [owners.get(source, UNASSIGNED) for source in snapshot.sources.tolist()]
+        right = (associations.ids == np.array(true, dtype=np.int64)).all(axis=1)
+        for path, source in enumerate(snapshot.sources.tolist()):
+            if source > 0:
+                born = int(associations.born[path])
+                for track, weight in zip(
+                    associations.ids[:, path].tolist(), associations.weight.tolist(), strict=True
+                ):
+                    key = (source, born if track == UNASSIGNED else track)
+                    self._fed[key] = self._fed.get(key, 0.0) + weight
         return float(associations.weight[right].sum())
 
-    def _true_id(self, source: int) -> int:
-        if source == CLUTTER:
-            return UNASSIGNED
-        return BS_ID if source == 0 else self._owner.get(source, UNASSIGNED)
+    def _owners(self, alive: set[int]) -> dict[int, int]:
+        """The track of each source, 0 being the BS; of a track that was fed by two, the first."""
+        self._fed = {key: fed for key, fed in self._fed.items() if key[1] in alive}
+        owners = {0: BS_ID}
+        taken = set()
+        for source, track in sorted(self._fed, key=lambda key: (-self._fed[key], key)):
+            if source not in owners and track not in taken:
+                owners[source] = track
+                taken.add(track)
+        return owners
 
 
 _NO_LANDMARKS = LandmarkEstimates(

@@ -178,14 +178,30 @@ def test_the_weight_of_the_correct_association() -> None:
     known = np.array([7, 8])
     second = associations([[7, new], [8, new], [new, new], [7, 8]], [0.4, 0.3, 0.2, 0.1], [9, 10])
     assert tracker.correct_weight(snapshot(3, 5), second, known) == pytest.approx(0.4)
-    # Track 10 is landmark 5, and a landmark keeps its first track as long as that lives.
+    # Track 10 is landmark 5, and track 7 has got most of landmark 3's paths.
     third = associations([[10, 7], [7, 10]], [0.9, 0.1], [new, new])
     assert tracker.correct_weight(snapshot(5, 3), third, np.array([7, 9, 10])) == pytest.approx(0.9)
-    # Track 7 died: landmark 3 counts as new again.
+    # Track 7 died: track 9, born from a path of landmark 3, stands for it now.
     fourth = associations([[new], [9]], [0.7, 0.3], [11])
-    assert tracker.correct_weight(snapshot(3), fourth, np.array([9, 10])) == pytest.approx(0.7)
-    fifth = associations([[11], [new]], [0.6, 0.4], [new])
-    assert tracker.correct_weight(snapshot(3), fifth, np.array([10, 11])) == pytest.approx(0.6)
+    assert tracker.correct_weight(snapshot(3), fourth, np.array([9, 10])) == pytest.approx(0.3)
+    # Track 11 was fed more of it since (0.7 against 0.2 + 0.3).
+    fifth = associations([[11], [9], [new]], [0.6, 0.3, 0.1], [new])
+    known = np.array([9, 10, 11])
+    assert tracker.correct_weight(snapshot(3), fifth, known) == pytest.approx(0.6)
+    # All that stood for it are gone: it counts as new.
+    sixth = associations([[10], [new]], [0.6, 0.4], [12])
+    assert tracker.correct_weight(snapshot(3), sixth, np.array([10])) == pytest.approx(0.4)
+
+
+def test_a_track_stands_for_one_landmark_only() -> None:
+    tracker = SourceTracker()
+    none, new = np.zeros(0, dtype=np.int64), UNASSIGNED
+    tracker.correct_weight(snapshot(1), associations([[new]], [1.0], [7]), none)
+    # Landmark 2 is taken for track 7 as well, less surely.
+    mixed = associations([[7], [new]], [0.6, 0.4], [8])
+    tracker.correct_weight(snapshot(2), mixed, np.array([7]))
+    both = associations([[7, 8], [8, 7]], [0.9, 0.1], [new, new])
+    assert tracker.correct_weight(snapshot(1, 2), both, np.array([7, 8])) == pytest.approx(0.9)
 
 
 def test_several_hypotheses_with_the_right_association_add_up() -> None:
