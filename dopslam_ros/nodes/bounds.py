@@ -11,6 +11,7 @@ from dopslam_ros.bag import message_class
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.core.session import BoundsOutput, BoundsParameters, BoundsSession
+from dopslam_ros.core.warmup import warm_up_bounds
 from dopslam_ros.messages import (
     Frames,
     MapArrays,
@@ -43,6 +44,7 @@ class BoundsNode(DopslamNode):
         super().__init__("bounds", **options)
         p = self.parameters_of(BoundsNodeParameters)
         self._session = BoundsSession(p)
+        warm_up_bounds(p)  # the first state is not to wait for a compiler
         self._frames = Frames(map=p.map_frame)
         self._source = p.source
         self._true_map: MapArrays | None = None

@@ -13,6 +13,7 @@ from dopslam_ros.bag import message_class
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import commented_yaml, parameter
 from dopslam_ros.core.session import FilterOutput, FilterSession
+from dopslam_ros.core.warmup import warm_up_filter
 from dopslam_ros.filter_messages import DrawingParameters, FilterMessages
 from dopslam_ros.messages import Frames, make_text, read_control, read_measurements, stamp_ns
 from dopslam_ros.nodes.runtime import DopslamNode, serve
@@ -36,6 +37,7 @@ class FilterNode(DopslamNode):
         super().__init__("filter", **options)
         p = self.parameters_of(FilterNodeParameters)
         self._session = FilterSession(p)
+        warm_up_filter(p)  # the first set is not to wait for a compiler
         frames = Frames(p.map_frame, p.base_frame)
         self._messages = FilterMessages(
             message_class, np.array(p.bs_position), p.ue_height, frames, p

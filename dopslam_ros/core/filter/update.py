@@ -137,9 +137,9 @@ def augment(
         means,
         covariances,
         axes,
-        births.position[kind, path],
-        births.covariance[kind, path],
-        births.gain[kind, path],
+        np.ascontiguousarray(births.position[kind, path]),
+        np.ascontiguousarray(births.covariance[kind, path]),
+        np.ascontiguousarray(births.gain[kind, path]),
         parameters.ue_height,
     )
     birth_track = np.full(len(existence), UNASSIGNED, dtype=np.int64)
