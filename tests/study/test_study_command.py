@@ -77,7 +77,9 @@ def test_the_files_of_a_study(whole: Path) -> None:
     assert weight == {"value": None, "low": None, "high": None}
     timing = strict(whole / "timing.json")["rows"]
     assert len(timing) == 6
-    assert all(0.0 < row["step_ms_p50"] <= row["step_ms_p99"] < 1e4 for row in timing)
+    # The slowest step may be the one that the kernels were compiled for.
+    assert all(0.0 < row["step_ms_p50"] <= row["step_ms_p99"] for row in timing)
+    assert all(row["step_ms_p50"] < 1e3 for row in timing)
     assert all(row["steps"] == 4 * STEPS for row in timing)
 
 
