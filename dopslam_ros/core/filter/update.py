@@ -178,7 +178,7 @@ def _append(
     kernels.place_births(
         state.ue_mean,
         ue_height,
-        state.ue_covariance,
+        state.covariance,
         axes,
         positions,
         covariances_given,

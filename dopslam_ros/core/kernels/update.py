@@ -252,7 +252,7 @@ def judge(
 def place_births(
     ue: FloatArray,
     ue_height: float,
-    ue_covariance: FloatArray,
+    covariance: FloatArray,
     axes: FloatArray,
     positions: FloatArray,
     covariances: FloatArray,
@@ -266,7 +266,7 @@ def place_births(
     Args:
         ue: (4,) the vehicle they were fitted to.
         ue_height: [m].
-        ue_covariance: (4, 4).
+        covariance: (n, n) of the joint vector, the vehicle first.
         axes: (B, 3, 3) of the frames.
         positions: (B, 3) [m].
         covariances: (B, 3, 3) of the positions.
@@ -304,7 +304,7 @@ def place_births(
                         total += local[r, i] * covariances[birth, i, j] * local[d, j]
                 for i in range(UE):
                     for j in range(UE):
-                        total -= gains[birth, r, i] * ue_covariance[i, j] * gains[birth, d, j]
+                        total -= gains[birth, r, i] * covariance[i, j] * gains[birth, d, j]
                 spreads[birth, r, d] = total
                 spreads[birth, d, r] = total
 
