@@ -129,7 +129,7 @@ def mixture_step(
         rank(advance(hypothesis, spans, parameters), observed, speed, parameters)
         for hypothesis in mixture.hypotheses
     ]
-    numbered = np.any([one.born for one in ranked], axis=0)
+    numbered = np.any([one.born.kept for one in ranked], axis=0)
     conditioned = [condition(one, numbered, observed, parameters) for one in ranked]
     log_prior = np.log(mixture.weight) + [one.hypotheses.log_evidence for one in ranked]
     prior = np.exp(log_prior - logsumexp(log_prior))

@@ -66,7 +66,7 @@ def step(
     """
     observed = evidence.prepare(measurements, parameters)
     ranked = rank(advance(state, spans, parameters), observed, speed, parameters)
-    conditioned = condition(ranked, ranked.born, observed, parameters)
+    conditioned = condition(ranked, ranked.born.kept, observed, parameters)
     merged = update.merge(
         conditioned.augmented, conditioned.outcomes, ranked.hypotheses, parameters
     )
@@ -81,17 +81,15 @@ class Ranked:
         predicted: the density the paths are weighed against.
         evidence: of every source.
         births: a candidate from every path.
-        weights: local weights.
         hypotheses: the best associations.
-        born: (J,) births worth keeping.
+        born: births worth keeping.
     """
 
     predicted: FilterState
     evidence: evidence.Evidence
     births: birth.Births
-    weights: hypotheses.LocalWeights
     hypotheses: hypotheses.Hypotheses
-    born: BoolArray
+    born: update.Newborn
 
 
 @dataclass(frozen=True)
@@ -118,8 +116,8 @@ def rank(
     births = birth.propose(predicted, observed, speed, parameters)
     weights = hypotheses.local_weights(predicted, observed, fit, births, parameters)
     best = hypotheses.associate(predicted, weights, parameters)
-    born = update.worth_keeping(births, weights, best, parameters)
-    return Ranked(predicted, fit, births, weights, best, born)
+    born = update.newborn(births, weights, best, parameters)
+    return Ranked(predicted, fit, births, best, born)
 
 
 def condition(
@@ -137,7 +135,6 @@ def condition(
         means,
         covariances,
         ranked.births,
-        ranked.weights,
         ranked.born,
         numbered,
         parameters,

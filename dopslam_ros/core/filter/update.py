@@ -15,6 +15,8 @@ from dopslam_ros.core.filter.hypotheses import Hypotheses, LocalWeights
 from dopslam_ros.core.filter.state import UE, UNKNOWN_TYPES, FilterParameters, FilterState
 from dopslam_ros.core.kernels import update as kernels
 
+_UNKNOWN = np.array(UNKNOWN_TYPES)
+
 
 @dataclass(frozen=True)
 class Outcomes:
@@ -47,18 +49,35 @@ class Augmented:
     birth_track: IntArray
 
 
-def worth_keeping(
+@dataclass(frozen=True)
+class Newborn:
+    """The landmarks that may be born from J paths.
+
+    Attributes:
+        existence: (J,) r = rho / (c + rho), where the path is given to no landmark.
+        kept: (J,) whose landmark would not be pruned at once.
+    """
+
+    existence: FloatArray
+    kept: BoolArray
+
+
+def newborn(
     births: Births, weights: LocalWeights, hypotheses: Hypotheses, parameters: FilterParameters
-) -> BoolArray:
-    """(J,) whose landmark would not be pruned at once."""
-    not_taken = hypotheses.weight @ (hypotheses.track == UNASSIGNED)
-    return np.asarray(birth_existence(births, weights) * not_taken > parameters.prune_existence)
-
-
-def birth_existence(births: Births, weights: LocalWeights) -> FloatArray:
-    """(J,) r = rho / (c + rho), where the path is given to no landmark."""
-    log_rho = np.logaddexp(births.log_intensity[0], births.log_intensity[1])
-    return np.asarray(np.exp(log_rho - weights.new))
+) -> Newborn:
+    """Which births are worth keeping."""
+    count = len(weights.new)
+    existence, kept = np.empty(count), np.empty(count, np.bool_)
+    kernels.birth_existences(
+        births.log_intensity,
+        weights.new,
+        hypotheses.weight,
+        hypotheses.track,
+        parameters.prune_existence,
+        existence,
+        kept,
+    )
+    return Newborn(existence, kept)
 
 
 def condition(
@@ -102,8 +121,7 @@ def augment(
     means: FloatArray,
     covariances: FloatArray,
     births: Births,
-    weights: LocalWeights,
-    kept: BoolArray,
+    born: Newborn,
     numbered: BoolArray,
     parameters: FilterParameters,
 ) -> Augmented:
@@ -114,21 +132,18 @@ def augment(
         means: (H, n) under each hypothesis.
         covariances: (H, n, n).
         births: candidates from J paths.
-        weights: local weights.
-        kept: (J,) births to append.
+        born: which are kept.
         numbered: (J,) births that get an id, those kept among them: global hypotheses share ids.
         parameters: pruning of types.
     """
-    existence = birth_existence(births, weights)
-    log_rho = np.logaddexp(births.log_intensity[0], births.log_intensity[1])
-    ids = state.next_id + np.cumsum(numbered) - 1
-    born = np.flatnonzero(kept)
-    share = np.exp(births.log_intensity[:, born] - log_rho[born])
-    share[share < parameters.prune_type] = 0.0
-    share /= share.sum(axis=0)
-    # Sorted by track, then type: (number of the birth, type).
-    which, kind = np.nonzero(share.T)
-    path = born[which]
+    paths = len(numbered)
+    path, kind = np.empty((2, 2 * paths), np.int64)
+    share = np.empty(2 * paths)
+    count = kernels.select_births(
+        births.log_intensity, born.kept, parameters.prune_type, path, kind, share
+    )
+    path, kind, share = path[:count], kind[:count], share[:count]
+    which = np.cumsum(born.kept) - 1  # number of each path's birth
     tracks = len(state.track_id)
     origin = np.tile(np.append(state.ue_mean[:2], parameters.ue_height), (len(path), 1))
     axes = placement.frames(births.position[kind, path] - origin)
@@ -142,19 +157,19 @@ def augment(
         np.ascontiguousarray(births.gain[kind, path]),
         parameters.ue_height,
     )
-    birth_track = np.full(len(existence), UNASSIGNED, dtype=np.int64)
-    birth_track[born] = tracks + np.arange(len(born))
+    birth_track = np.where(born.kept, tracks + which, UNASSIGNED)
+    ids = state.next_id + np.cumsum(numbered) - 1
     augmented = replace(
         state,
         mean=more_means[0],
         covariance=more_covariances[0],
         origin=np.concatenate([state.origin, origin]),
         axes=np.concatenate([state.axes, axes]),
-        component_track=np.concatenate([state.component_track, tracks + which]),
-        component_type=np.concatenate([state.component_type, np.array(UNKNOWN_TYPES)[kind]]),
-        component_weight=np.concatenate([state.component_weight, share[kind, which]]),
-        track_id=np.concatenate([state.track_id, ids[born]]),
-        existence=np.concatenate([state.existence, existence[born]]),
+        component_track=np.concatenate([state.component_track, birth_track[path]]),
+        component_type=np.concatenate([state.component_type, _UNKNOWN[kind]]),
+        component_weight=np.concatenate([state.component_weight, share]),
+        track_id=np.concatenate([state.track_id, ids[born.kept]]),
+        existence=np.concatenate([state.existence, born.existence[born.kept]]),
         next_id=state.next_id + int(numbered.sum()),
     )
     return Augmented(augmented, more_means, more_covariances, birth_track)

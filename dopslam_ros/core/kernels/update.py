@@ -249,6 +249,82 @@ def judge(
 
 
 @compiled
+def birth_existences(
+    log_intensity: FloatArray,
+    new: FloatArray,
+    weight: FloatArray,
+    track: IntArray,
+    least: float,
+    existence: FloatArray,
+    kept: BoolArray,
+) -> None:
+    """How likely the landmarks born from each path exist, and whether they are worth keeping.
+
+    Args:
+        log_intensity: (2, J) ln rho by type.
+        new: (J,) ln (c + rho).
+        weight: (H,).
+        track: (H, J) track of each path, -1 for clutter or new.
+        least: existence below which a landmark would be pruned at once.
+        existence: (J,) result: rho / (c + rho), where the path is given to no landmark.
+        kept: (J,) result.
+    """
+    for j in range(len(new)):
+        high = max(log_intensity[0, j], log_intensity[1, j])
+        low = min(log_intensity[0, j], log_intensity[1, j])
+        existence[j] = 0.0
+        if high > -np.inf:
+            existence[j] = np.exp(high - new[j]) * (1.0 + np.exp(low - high))
+        free = 0.0
+        for h in range(len(weight)):
+            if track[h, j] == -1:
+                free += weight[h]
+        kept[j] = existence[j] * free > least
+
+
+@compiled
+def select_births(
+    log_intensity: FloatArray,
+    kept: BoolArray,
+    least: float,
+    path: IntArray,
+    kind: IntArray,
+    share: FloatArray,
+) -> int:
+    """Components of the births that are kept, by path, then type.
+
+    Args:
+        log_intensity: (2, J) ln rho by type.
+        kept: (J,).
+        least: types with a smaller share are dropped.
+        path: (2 J,) result, as are the next two: the path of each component.
+        kind: (2 J,) its type, 0 or 1.
+        share: (2 J,) probability of the type.
+
+    Returns:
+        How many components there are.
+    """
+    count = 0
+    for j in range(len(kept)):
+        if not kept[j]:
+            continue
+        high = max(log_intensity[0, j], log_intensity[1, j])
+        first, second = np.exp(log_intensity[0, j] - high), np.exp(log_intensity[1, j] - high)
+        total = first + second
+        if first < least * total:
+            first = 0.0
+        if second < least * total:
+            second = 0.0
+        for k in range(2):
+            part = first if k == 0 else second
+            if part > 0.0:
+                path[count], kind[count] = j, k
+                share[count] = part / (first + second)
+                count += 1
+    return count
+
+
+@compiled
 def place_births(
     ue: FloatArray,
     ue_height: float,

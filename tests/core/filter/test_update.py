@@ -23,8 +23,8 @@ from dopslam_ros.core.filter.update import (
     condition,
     judge,
     merge,
+    newborn,
     prune,
-    worth_keeping,
 )
 
 PARAMETERS = FilterParameters()
@@ -292,10 +292,8 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     weights = LocalWeights(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2), new)
     track = np.array([[UNASSIGNED, UNASSIGNED, UNASSIGNED], [UNASSIGNED, 0, 1]])
     ranked = Hypotheses(track, track, np.array([0.4, 0.6]), 0.0)
-    born = worth_keeping(births, weights, ranked, PARAMETERS)
-    augmented = augment(
-        state, *gaussian(state, len(track)), births, weights, born, born, PARAMETERS
-    )
+    born = newborn(births, weights, ranked, PARAMETERS)
+    augmented = augment(state, *gaussian(state, len(track)), births, born, born.kept, PARAMETERS)
     after = augmented.state
     assert augmented.birth_track.tolist() == [1, UNASSIGNED, 2]
     assert after.track_id.tolist() == [1, 2, 3] and after.next_id == 4
@@ -339,10 +337,8 @@ def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
     weights = LocalWeights(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), np.log([4e-9, 4e-9]))
     track = np.array([[UNASSIGNED, UNASSIGNED], [1, UNASSIGNED]])
     ranked = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
-    born = worth_keeping(births, weights, ranked, PARAMETERS)
-    augmented = augment(
-        state, *gaussian(state, len(track)), births, weights, born, born, PARAMETERS
-    )
+    born = newborn(births, weights, ranked, PARAMETERS)
+    augmented = augment(state, *gaussian(state, len(track)), births, born, born.kept, PARAMETERS)
     _, fit = linear_problem(rng, state, np.ones((2, DIM), dtype=bool))
     outcomes = judge(augmented, fit, ranked)
     np.testing.assert_allclose(outcomes.existence[:, 1:], [[0.25, 0.25], [0.0, 0.25]])
