@@ -8,10 +8,17 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import ndtr
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.channel import COMPONENTS, DIM, DOPPLER, LandmarkType
+from dopslam_ros.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    check_shapes,
+    floats,
+    integers,
+)
+from dopslam_ros.core.channel import COMPONENTS, DIM, DOPPLER
+from dopslam_ros.core.kernels import detection as kernel
 from dopslam_ros.core.parameters import parameter
 
 
@@ -153,12 +160,21 @@ def detection_probabilities(
     Returns:
         (M,) probabilities.
     """
-    distance = np.linalg.norm(positions - ue, axis=-1)
-    if spread is None:
-        inside = (distance <= model.sp_field_of_view).astype(np.float64)
-    else:
-        inside = ndtr((model.sp_field_of_view - distance) / np.maximum(spread, 1e-9))
-    return np.asarray(model.detection_probability * np.where(types == LandmarkType.SP, inside, 1.0))
+    detection = np.empty(len(types))
+    spread = np.zeros_like(detection) if spread is None else spread
+    check_shapes(
+        ue=(ue, (3,)), positions=(positions, (len(types), 3)), spread=(spread, detection.shape)
+    )
+    kernel.detection_probabilities(
+        floats(ue),
+        floats(positions),
+        integers(types),
+        floats(spread),
+        float(model.detection_probability),
+        float(model.sp_field_of_view),
+        detection,
+    )
+    return detection
 
 
 def clutter_box(model: ModelParameters) -> FloatArray:

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, symmetrise, wrap_angle
+from dopslam_ros.core.arrays import FloatArray, check_shapes, floats
+from dopslam_ros.core.kernels import motion as kernel
 
 
 class Control(NamedTuple):
@@ -40,24 +41,20 @@ def propagate(state: FloatArray, control: Control, duration: float) -> FloatArra
     Returns:
         (..., 4) the state after ``duration``; heading wrapped.
     """
-    half = 0.5 * control.turn_rate * duration
-    chord = control.speed * duration * np.sinc(half / np.pi)
-    direction = state[..., 2] + half
-    after = np.array(state, dtype=np.float64)
-    after[..., 0] += chord * np.cos(direction)
-    after[..., 1] += chord * np.sin(direction)
-    after[..., 2] = wrap_angle(state[..., 2] + control.turn_rate * duration)
+    after = np.array(state, dtype=np.float64, order="C")
+    kernel.propagate(
+        after.reshape(-1, 4), float(control.speed), float(control.turn_rate), float(duration)
+    )
     return after
 
 
 def propagation_jacobian(state: FloatArray, control: Control, duration: float) -> FloatArray:
     """F = df/ds of eq. (1), (4, 4), at ``state`` (4,)."""
-    half = 0.5 * control.turn_rate * duration
-    chord = control.speed * duration * np.sinc(half / np.pi)
-    direction = state[2] + half
+    speed, turn_rate = float(control.speed), float(control.turn_rate)
+    dx, dy = kernel.chord(float(state[2]), speed, turn_rate, float(duration))
     jacobian = np.eye(4)
-    jacobian[0, 2] = -chord * np.sin(direction)
-    jacobian[1, 2] = chord * np.cos(direction)
+    jacobian[0, 2] = -dy
+    jacobian[1, 2] = dx
     return jacobian
 
 
@@ -74,14 +71,12 @@ def propagate_spans(
     Returns:
         (4,) the state after, (4, 4) the Jacobian of the whole motion, (4, 4) its process noise.
     """
-    jacobian = np.eye(4)
-    noise = np.zeros((4, 4))
-    for control, duration in spans:
-        step = propagation_jacobian(state, control, duration)
-        noise = step @ noise @ step.T + np.diag(noise_rate * duration)
-        jacobian = step @ jacobian
-        state = propagate(state, control, duration)
-    return state, jacobian, noise
+    check_shapes(state=(state, (4,)), noise_rate=(noise_rate, (4,)))
+    after, jacobian, noise = np.array(state, dtype=np.float64), np.eye(4), np.zeros((4, 4))
+    pieces = [(control.speed, control.turn_rate, duration) for control, duration in spans]
+    rows = np.array(pieces, dtype=np.float64).reshape(-1, 3)
+    kernel.propagate_spans(after, rows, floats(noise_rate), jacobian, noise)
+    return after, jacobian, noise
 
 
 def predict_covariance(
@@ -90,15 +85,19 @@ def predict_covariance(
     """Covariance of [s; x_1 ...] after the vehicle has moved: F P F' + Q, the map is static.
 
     Args:
-        covariance: (n, n) before, the vehicle first.
+        covariance: (n, n) before, symmetric, the vehicle first.
         jacobian: (4, 4) F of the motion.
         noise: (4, 4) Q of the motion.
 
     Returns:
         (n, n).
     """
-    after = np.array(covariance)
-    after[:4] = jacobian @ after[:4]
-    after[:, :4] = after[:, :4] @ jacobian.T
-    after[:4, :4] += noise
-    return symmetrise(after)
+    size = len(covariance)
+    check_shapes(
+        covariance=(covariance, (max(size, 4), size)),
+        jacobian=(jacobian, (4, 4)),
+        noise=(noise, (4, 4)),
+    )
+    after = np.array(covariance, dtype=np.float64, order="C")
+    kernel.predict_covariance(floats(covariance), floats(jacobian), floats(noise), after)
+    return after

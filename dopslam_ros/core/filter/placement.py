@@ -13,50 +13,51 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray
+from dopslam_ros.core.arrays import FloatArray, check_shapes, floats
+from dopslam_ros.core.kernels import placement as kernel
 
 
 def frames(offset: FloatArray) -> FloatArray:
     """Axes of new landmarks.
 
     Args:
-        offset: (M, 3) from the origin to each landmark, not zero.
+        offset: (M, 3) from the origin to each landmark; one that is zero counts as along x.
 
     Returns:
         (M, 3, 3) rotations; their first columns point along ``offset``.
     """
-    first = offset / np.linalg.norm(offset, axis=1, keepdims=True)
-    upright = np.abs(first[:, 2:]) > 0.9
-    helper = np.where(upright, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
-    second = np.cross(helper, first)
-    second /= np.linalg.norm(second, axis=1, keepdims=True)
-    return np.stack([first, second, np.cross(first, second)], axis=2)
+    axes = np.empty((len(offset), 3, 3))
+    check_shapes(offset=(offset, (len(axes), 3)))
+    kernel.frames(floats(offset), axes)
+    return axes
 
 
 def positions(origin: FloatArray, axes: FloatArray, q: FloatArray) -> FloatArray:
     """(M, 3) positions [m] of landmarks q (M, 3) with origins (M, 3) and axes (M, 3, 3)."""
-    direction = (axes @ _rays(q)[:, :, None])[:, :, 0]
-    return np.asarray(origin + q[:, :1] * direction)
+    position = _like_frames(origin, axes, q)
+    kernel.positions(floats(origin), floats(axes), floats(q), position)
+    return position
 
 
 def placements(origin: FloatArray, axes: FloatArray, position: FloatArray) -> FloatArray:
     """(M, 3) q of positions (M, 3) in front of the frames; the inverse of ``positions``."""
-    local = (np.swapaxes(axes, 1, 2) @ (position - origin)[:, :, None])[:, :, 0]
-    reach = np.linalg.norm(local, axis=1, keepdims=True)
-    return np.concatenate([reach, local[:, 1:] / local[:, :1]], axis=1)
+    q = _like_frames(origin, axes, position)
+    kernel.placements(floats(origin), floats(axes), floats(position), q)
+    return q
 
 
 def jacobians(axes: FloatArray, q: FloatArray) -> FloatArray:
     """(M, 3, 3) derivatives of the positions with respect to q."""
-    ray = _rays(q)
-    length = np.sqrt(1.0 + q[:, 1] ** 2 + q[:, 2] ** 2)
-    across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-    local = (q[:, 0] / length)[:, None, None] * across
-    local[:, :, 0] = ray
-    return np.asarray(axes @ local)
+    jacobian = np.empty((len(q), 3, 3))
+    check_shapes(axes=(axes, jacobian.shape), q=(q, (len(q), 3)))
+    kernel.jacobians(floats(axes), floats(q), jacobian)
+    return jacobian
 
 
-def _rays(q: FloatArray) -> FloatArray:
-    """(M, 3) unit vectors of the directions, in the frames' axes."""
-    ray = np.concatenate([np.ones((len(q), 1)), q[:, 1:]], axis=1)
-    return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+def _like_frames(origin: FloatArray, axes: FloatArray, places: FloatArray) -> FloatArray:
+    """Room for (M, 3), the M frames and places being as many."""
+    count = len(places)
+    check_shapes(
+        origin=(origin, (count, 3)), axes=(axes, (count, 3, 3)), places=(places, (count, 3))
+    )
+    return np.empty((count, 3))

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, IntArray
-from dopslam_ros.core.channel import LandmarkType
-from dopslam_ros.core.model import ModelParameters, detection_probabilities
+from dopslam_ros.core.arrays import FloatArray, IntArray, check_shapes, floats, integers
+from dopslam_ros.core.kernels import detection as kernel
+from dopslam_ros.core.model import ModelParameters
 
 # Viewpoints nearer to each other than this share of the field of view count as one.
 SPACING = 0.1
@@ -63,17 +63,22 @@ def log_share_left(
     Returns:
         (M,).
     """
-    p_d = model.detection_probability
-    log_share = np.full(len(positions), undetected.looks * np.log1p(-min(p_d, 1.0 - 1e-9)))
-    scattered = np.flatnonzero(types == LandmarkType.SP)
-    log_share[scattered] = 0.0
-    for place, looks in zip(undetected.viewpoints, undetected.viewpoint_looks, strict=True):
-        ue = np.append(place, model.ue_height)
-        seen = detection_probabilities(
-            model, ue, positions[scattered], types[scattered], spread[scattered]
-        )
-        log_share[scattered] += looks * np.log1p(-np.minimum(seen, 1.0 - 1e-9))
-    return np.asarray(np.maximum(log_share, np.log(floor)))
+    log_share = np.empty(len(types))
+    check_shapes(positions=(positions, (len(types), 3)), spread=(spread, log_share.shape))
+    kernel.log_shares_left(
+        int(undetected.looks),
+        floats(undetected.viewpoints),
+        integers(undetected.viewpoint_looks),
+        float(model.ue_height),
+        floats(positions),
+        integers(types),
+        floats(spread),
+        float(model.detection_probability),
+        float(model.sp_field_of_view),
+        float(floor),
+        log_share,
+    )
+    return log_share
 
 
 def looked_from(undetected: Undetected, ue: FloatArray, model: ModelParameters) -> Undetected:

@@ -44,6 +44,20 @@ def forward(lower: FloatArray, x: FloatArray, n: int) -> None:
 
 
 @compiled
+def forward_columns(lower: FloatArray, x: FloatArray, n: int) -> None:
+    """Replaces x (n, m) by the solution Y of L Y = X."""
+    columns = x.shape[1]
+    for i in range(n):
+        for k in range(i):
+            factor = lower[i, k]
+            for c in range(columns):
+                x[i, c] -= factor * x[k, c]
+        scale = 1.0 / lower[i, i]
+        for c in range(columns):
+            x[i, c] *= scale
+
+
+@compiled
 def backward(lower: FloatArray, x: FloatArray, n: int) -> None:
     """Replaces x (n,) by the solution y of L' y = x."""
     for i in range(n - 1, -1, -1):
