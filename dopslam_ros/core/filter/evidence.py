@@ -9,11 +9,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.channel import DIM, LandmarkType, observe, residual
+from dopslam_ros.core.channel import DIM, residual
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
 from dopslam_ros.core.kernels import evidence as kernels
 from dopslam_ros.core.measurements import MeasurementSet
-from dopslam_ros.core.model import detection_probabilities
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -93,23 +92,38 @@ def weigh(
         speed: v at the snapshot [m/s].
         parameters: gate, p_D and noise.
     """
-    positions = np.vstack([parameters.bs, state.positions])
-    types = np.concatenate([[int(LandmarkType.BS)], state.component_type]).astype(np.int64)
-    paths = observe(state.ue_mean, speed, positions, types, parameters.bs, parameters.ue_height)
-    to_position = np.concatenate([np.zeros((1, 3, 3)), state.position_jacobians])
-    b = paths.landmark_jacobian @ to_position
-    ue = np.append(state.ue_mean[:2], parameters.ue_height)
-    spread = _distance_std(state, positions - ue, to_position)
-    detection = detection_probabilities(parameters, ue, positions, types, spread)
-    detection = np.where(paths.degenerate, 0.0, detection)
-
-    projected = _projected_covariance(state, paths.ue_jacobian, b)
-    shape = (len(positions), len(observed.values))
+    sources = len(state.component_track) + 1
+    expected, a, b = (
+        np.empty((sources, DIM)),
+        np.empty((sources, DIM, UE)),
+        np.empty((sources, DIM, 3)),
+    )
+    degenerate, detection = np.empty(sources, np.bool_), np.empty(sources)
+    expected, projected = np.empty((sources, DIM)), np.empty((sources, DIM, DIM))
+    kernels.look_at_sources(
+        state.mean,
+        state.covariance,
+        state.origin,
+        state.axes,
+        state.component_type,
+        speed,
+        parameters.bs,
+        parameters.ue_height,
+        parameters.detection_probability,
+        parameters.sp_field_of_view,
+        expected,
+        a,
+        b,
+        degenerate,
+        detection,
+        projected,
+    )
+    shape = (sources, len(observed.values))
     innovation, log_likelihood = np.empty((*shape, DIM)), np.empty(shape)
     if not kernels.log_likelihoods(
         projected,
-        paths.mean,
-        paths.degenerate,
+        expected,
+        degenerate,
         observed.values,
         observed.used,
         observed.noise,
@@ -119,7 +133,7 @@ def weigh(
     ):
         raise np.linalg.LinAlgError("an innovation's covariance is not positive definite")
     return Evidence(
-        ue_jacobian=paths.ue_jacobian,
+        ue_jacobian=a,
         landmark_jacobian=b,
         detection=detection,
         innovation=innovation,
@@ -139,31 +153,6 @@ def gaussian_terms(covariance: FloatArray, vector: FloatArray) -> tuple[FloatArr
     white = np.linalg.solve(factor, vector[..., None])[..., 0]
     diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
     return np.sum(white**2, axis=-1), 2.0 * np.sum(np.log(diagonal), axis=-1)
-
-
-def _projected_covariance(state: FilterState, a: FloatArray, b: FloatArray) -> FloatArray:
-    """(C + 1, d, d) covariance of h (C + 1, d), or of anything with Jacobians A and B, without R.
-
-    A (C + 1, d, 4) and B (C + 1, d, 3); B of source 0, the BS, does not count.
-    """
-    projected = np.empty((len(a), a.shape[1], a.shape[1]))
-    kernels.project(a, b, state.covariance, projected)
-    return projected
-
-
-def _distance_std(state: FilterState, offset: FloatArray, to_position: FloatArray) -> FloatArray:
-    """(C + 1,) standard deviation of the distance to each source [m], to first order.
-
-    Args:
-        state: predicted.
-        offset: (C + 1, 3) from the vehicle to the sources [m].
-        to_position: (C + 1, 3, 3) derivatives of their positions with respect to q.
-    """
-    direction = offset / np.maximum(np.linalg.norm(offset, axis=1), 1e-6)[:, None]
-    a = np.zeros((len(offset), 1, UE))
-    a[:, 0, :2] = -direction[:, :2]
-    variance = _projected_covariance(state, a, direction[:, None, :] @ to_position)
-    return np.asarray(np.sqrt(np.maximum(variance[:, 0, 0], 0.0)))
 
 
 def source_tracks(state: FilterState) -> IntArray:

@@ -8,7 +8,7 @@ edge of what it has seen is a new landmark.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -84,14 +84,15 @@ def log_share_left(
 def looked_from(undetected: Undetected, ue: FloatArray, model: ModelParameters) -> Undetected:
     """One more snapshot, taken from ``ue`` (2,) [m]."""
     view = model.sp_field_of_view
-    away = np.linalg.norm(undetected.viewpoints - ue, axis=1)
-    # What is beyond two fields of view cannot overlap with this one.
-    near = np.flatnonzero(away <= 2.0 * view)[-MOST_VIEWPOINTS:]
-    viewpoints, looks = undetected.viewpoints[near], undetected.viewpoint_looks[near]
-    if len(near) and away[near].min() < SPACING * view:
-        looks = looks + (np.arange(len(near)) == np.argmin(away[near]))
-    else:
-        viewpoints, looks = np.vstack([viewpoints, ue]), np.append(looks, 1)
-    return replace(
-        undetected, looks=undetected.looks + 1, viewpoints=viewpoints, viewpoint_looks=looks
-    )
+    viewpoints, looks = undetected.viewpoints, undetected.viewpoint_looks
+    nearest, distance, farthest = kernel.nearest_viewpoint(viewpoints, ue[0], ue[1])
+    if distance < SPACING * view:
+        looks = looks.copy()
+        looks[nearest] += 1
+        return Undetected(undetected.looks + 1, viewpoints, looks)
+    if farthest > 2.0 * view or len(looks) > MOST_VIEWPOINTS:
+        # What is beyond two fields of view cannot overlap with this one.
+        away = np.linalg.norm(viewpoints - ue, axis=1)
+        near = np.flatnonzero(away <= 2.0 * view)[-MOST_VIEWPOINTS:]
+        viewpoints, looks = viewpoints[near], looks[near]
+    return Undetected(undetected.looks + 1, np.vstack([viewpoints, ue]), np.append(looks, 1))

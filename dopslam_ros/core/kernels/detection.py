@@ -107,3 +107,19 @@ def apart(x: float, y: float, z: float, position: FloatArray) -> float:
     """Distance of a point from position (3,) [m]."""
     dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
     return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@compiled
+def nearest_viewpoint(viewpoints: FloatArray, x: float, y: float) -> tuple[int, float, float]:
+    """Which viewpoint (K, 2) is nearest to (x, y); its distance and that of the farthest [m].
+
+    Returns:
+        Index, -1 if there is none; the two distances.
+    """
+    index, least, most = -1, math.inf, 0.0
+    for k in range(len(viewpoints)):
+        distance = math.hypot(viewpoints[k, 0] - x, viewpoints[k, 1] - y)
+        if distance < least:
+            index, least = k, distance
+        most = max(most, distance)
+    return index, least, most

@@ -6,13 +6,17 @@ import math
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.channel import AZIMUTHS, DIM
+from dopslam_ros.core.kernels.channel import BS, observe_source, unit
 from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.detection import detection_probability
+from dopslam_ros.core.kernels.placement import place, place_jacobian
 from dopslam_ros.core.kernels.small import cholesky, forward, log_determinant
 
 LOG_2PI = math.log(2.0 * math.pi)
 ARRIVAL, DEPARTURE = AZIMUTHS
+UE = 4
 
 
 @compiled
@@ -53,46 +57,117 @@ def prepare(
 
 
 @compiled
-def project(
+def look_at_sources(
+    mean: FloatArray,
+    covariance: FloatArray,
+    origin: FloatArray,
+    axes: FloatArray,
+    component_type: IntArray,
+    speed: float,
+    bs: FloatArray,
+    ue_height: float,
+    probability: float,
+    view: float,
+    expected: FloatArray,
     a: FloatArray,
     b: FloatArray,
-    covariance: FloatArray,
+    degenerate: BoolArray,
+    detection: FloatArray,
     projected: FloatArray,
+) -> None:
+    """What would be heard of the BS (source 0) and of the components, and how sure that is.
+
+    Args:
+        mean: (4 + 3 C,).
+        covariance: (4 + 3 C, 4 + 3 C).
+        origin: (C, 3) of the components' frames [m].
+        axes: (C, 3, 3).
+        component_type: (C,).
+        speed: v [m/s].
+        bs: (3,) [m].
+        ue_height: [m].
+        probability: p_D of what is visible.
+        view: field of view for SPs [m].
+        expected: (C + 1, 6) result: h.
+        a: (C + 1, 6, 4) result: dh/ds.
+        b: (C + 1, 6, 3) result: dh/dq, zero for the BS.
+        degenerate: (C + 1,) result: nothing can be said.
+        detection: (C + 1,) result: p_D.
+        projected: (C + 1, 6, 6) result: covariance of h.
+    """
+    position = bs.copy()
+    to_position = np.zeros((3, 3))
+    by_position = np.empty((DIM, 3))
+    by_vehicle, by_placement = np.zeros((1, 1, UE)), np.zeros((1, 1, 3))
+    blur = np.empty((1, 1))
+    for m in range(len(component_type) + 1):
+        kind = BS
+        if m > 0:
+            kind = component_type[m - 1]
+            q = mean[UE + 3 * (m - 1) : UE + 3 * m]
+            place(origin[m - 1], axes[m - 1], q, position)
+            place_jacobian(axes[m - 1], q, to_position)
+        degenerate[m], _ = observe_source(
+            mean[:UE], speed, bs, ue_height, position, kind, expected[m], a[m], by_position
+        )
+        for k in range(DIM):
+            for j in range(3):
+                b[m, k, j] = 0.0
+                for i in range(3):
+                    b[m, k, j] += by_position[k, i] * to_position[i, j]
+        project_one(a[m], b[m], m, covariance, projected[m])
+        if degenerate[m]:
+            detection[m] = 0.0
+            continue
+        distance, ux, uy, uz = unit(
+            position[0] - mean[0], position[1] - mean[1], position[2] - ue_height
+        )
+        by_vehicle[0, 0, 0], by_vehicle[0, 0, 1] = -ux, -uy
+        for j in range(3):
+            by_placement[0, 0, j] = (
+                ux * to_position[0, j] + uy * to_position[1, j] + uz * to_position[2, j]
+            )
+        project_one(by_vehicle[0], by_placement[0], m, covariance, blur)
+        spread = math.sqrt(max(blur[0, 0], 0.0))
+        detection[m] = detection_probability(kind, distance, spread, probability, view)
+
+
+@compiled
+def project_one(
+    a: FloatArray, b: FloatArray, source: int, covariance: FloatArray, projected: FloatArray
 ) -> None:
     """Covariance of h from what is uncertain in the state: A P A' + B P B' + cross terms.
 
     Args:
-        a: (M, d, 4) Jacobians by the vehicle.
-        b: (M, d, 3) by the placement of source m, which is block m - 1; that of source 0, the BS,
-            does not count.
-        covariance: (4 + 3 (M - 1), 4 + 3 (M - 1)).
-        projected: (M, d, d) result.
+        a: (d, 4) Jacobian by the vehicle.
+        b: (d, 3) by the placement of the source, which is block source - 1; not used for source 0.
+        source: its number.
+        covariance: of the joint vector.
+        projected: (d, d) result.
     """
-    count, dim = a.shape[0], a.shape[1]
-    rows = np.empty((dim, 7))
-    for m in range(count):
-        column = 1 + 3 * m
-        for k in range(dim):
-            for j in range(7):
-                at = j if j < 4 else column + j - 4
-                total = 0.0
-                if j < 4 or m > 0:
-                    for i in range(4):
-                        total += a[m, k, i] * covariance[i, at]
-                    if m > 0:
-                        for i in range(3):
-                            total += b[m, k, i] * covariance[column + i, at]
-                rows[k, j] = total
-        for k in range(dim):
-            for l in range(k + 1):  # noqa: E741
-                total = 0.0
-                for j in range(4):
-                    total += rows[k, j] * a[m, l, j]
-                if m > 0:
-                    for j in range(3):
-                        total += rows[k, 4 + j] * b[m, l, j]
-                projected[m, k, l] = total
-                projected[m, l, k] = total
+    dim = a.shape[0]
+    column = UE + 3 * (source - 1)
+    width = UE if source == 0 else UE + 3
+    row = np.empty(UE + 3)
+    for k in range(dim):
+        for j in range(width):
+            at = j if j < UE else column + j - UE
+            total = 0.0
+            for i in range(UE):
+                total += a[k, i] * covariance[i, at]
+            if source > 0:
+                for i in range(3):
+                    total += b[k, i] * covariance[column + i, at]
+            row[j] = total
+        for other in range(k + 1):
+            total = 0.0
+            for j in range(UE):
+                total += row[j] * a[other, j]
+            if source > 0:
+                for j in range(3):
+                    total += row[UE + j] * b[other, j]
+            projected[k, other] = total
+            projected[other, k] = total
 
 
 @compiled

@@ -75,9 +75,10 @@ def test_the_memory_is_bounded_however_long_the_drive() -> None:
     for place in wandering:
         undetected = looked_from(undetected, place, PARAMETERS)
         most = max(most, len(undetected.viewpoints))
-        reach = np.linalg.norm(undetected.viewpoints - place, axis=1)
-        assert reach.max() <= 2.0 * PARAMETERS.sp_field_of_view
-    assert most <= MOST_VIEWPOINTS + 1
+    assert 20 < most <= MOST_VIEWPOINTS + 1
+    # What was looked at on the way is gone, but for what is near.
+    reach = np.linalg.norm(undetected.viewpoints - wandering[-1], axis=1)
+    assert reach.max() < 3.0 * PARAMETERS.sp_field_of_view < np.ptp(wandering, axis=0).max()
     assert undetected.looks == 3000
 
 
