@@ -119,11 +119,9 @@ class Asleep:
             blur: added to every reach [m].
             size: of a cell [m].
         """
-        far = self.widest + blur
-        low, high = np.floor((ue - far) / size), np.floor((ue + far) / size)
         cells: dict[CellIndex, Sleepers] | None = None
         found = []
-        for index in self._indices(low, high):
+        for index in self._indices(ue, self.widest + blur, size):
             sleepers = self.cells.get(index)
             if sleepers is None:
                 continue
@@ -141,12 +139,12 @@ class Asleep:
             return None, self
         return together(found), Asleep(cells, self.widest)
 
-    def _indices(self, low: FloatArray, high: FloatArray) -> list[CellIndex]:
-        """Cells of a rectangle, or all there are where these are fewer."""
-        if math.prod((high - low + 1.0).tolist()) > len(self.cells):
-            return list(self.cells)
-        return list(
-            itertools.product(
-                range(int(low[0]), int(high[0]) + 1), range(int(low[1]), int(high[1]) + 1)
-            )
+    def _indices(self, ue: FloatArray, far: float, size: float) -> list[CellIndex]:
+        """Cells of the square of half width ``far``, or all there are where these are fewer."""
+        rows, columns = (
+            range(math.floor((at - far) / size), math.floor((at + far) / size) + 1)
+            for at in ue.tolist()
         )
+        if len(rows) * len(columns) > len(self.cells):
+            return list(self.cells)
+        return list(itertools.product(rows, columns))

@@ -11,6 +11,7 @@ from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.sleepers import Asleep
 from dopslam_ros.core.filter.undetected import Undetected, nothing_seen
+from dopslam_ros.core.kernels.update import keep
 from dopslam_ros.core.model import OnlineParameters
 from dopslam_ros.core.parameters import parameter
 
@@ -182,14 +183,14 @@ class FilterState:
             components: (C,) which are kept.
             tracks: (T,) which are kept; they have a component that is.
         """
-        index = np.concatenate(
-            [np.arange(UE), block_indices(UE, np.flatnonzero(components), 3).ravel()]
-        )
+        size = UE + 3 * int(np.count_nonzero(components))
+        mean, covariance = np.empty(size), np.empty((size, size))
+        keep(self.mean, self.covariance, components, mean, covariance)
         renumbered = np.cumsum(tracks) - 1
         return replace(
             self,
-            mean=self.mean[index],
-            covariance=self.covariance[np.ix_(index, index)],
+            mean=mean,
+            covariance=covariance,
             origin=self.origin[components],
             axes=self.axes[components],
             component_track=renumbered[self.component_track[components]],

@@ -510,3 +510,34 @@ def merge(
                     covariance[i, j] += (
                         left * covariances[h, i, j] * root[j] + across * deviation[h, j]
                     )
+
+
+@compiled
+def keep(
+    mean: FloatArray,
+    covariance: FloatArray,
+    components: BoolArray,
+    kept_mean: FloatArray,
+    kept_covariance: FloatArray,
+) -> None:
+    """The vehicle's block and those of some components.
+
+    Args:
+        mean: (n,).
+        covariance: (n, n).
+        components: (C,) which are kept, K in number.
+        kept_mean: (4 + 3 K,) result.
+        kept_covariance: (4 + 3 K, 4 + 3 K) result.
+    """
+    index = np.empty(len(kept_mean), np.int64)
+    index[:UE] = np.arange(UE)
+    count = UE
+    for c in range(len(components)):
+        if components[c]:
+            for k in range(3):
+                index[count + k] = UE + 3 * c + k
+            count += 3
+    for i in range(count):
+        kept_mean[i] = mean[index[i]]
+        for j in range(count):
+            kept_covariance[i, j] = covariance[index[i], index[j]]
