@@ -1,0 +1,156 @@
+"""The step against one written down from the equations with loops: tests/textbook.py.
+
+Both get the same inputs and go on from their own results. In exact arithmetic they are equal. They
+round in another order, which leaves up to 1e-9, of a standard deviation, a probability or a weight,
+after 15 steps. 1e-7 is asked: nothing wrong in a formula, a sign or a decision is that small.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import textbook
+
+from dopslam_ros.core.arrays import FloatArray, wrap_angle
+from dopslam_ros.core.assignment import UNASSIGNED
+from dopslam_ros.core.channel import DIM
+from dopslam_ros.core.filter import (
+    Associations,
+    FilterParameters,
+    FilterState,
+    initial_filter_state,
+    step,
+)
+from dopslam_ros.core.measurements import MeasurementSet
+from dopslam_ros.core.motion import Control, ControlSpan
+from dopslam_ros.core.scenario import Scenario, load_scenario
+from dopslam_ros.core.simulator import simulate
+from dopslam_ros.core.study import filter_parameters_for
+
+STEPS = 15
+TOLERANCE = 1e-7
+NAN = math.nan
+SCENES: dict[str, dict[str, object]] = {
+    "paper": {},
+    "without Doppler": {"measurement_noise_std": (0.1, 0.05, 0.05, 0.05, 0.05, NAN)},
+    "much clutter": {"clutter_mean": 10.0},
+    "without elevations": {"measurement_noise_std": (0.1, 0.05, NAN, 0.05, NAN, 0.1)},
+    "without angles of arrival": {"measurement_noise_std": (0.1, NAN, NAN, 0.05, 0.05, 0.1)},
+    "few hypotheses, coarse pruning": {"gamma": 3, "prune_existence": 0.02, "prune_type": 0.05},
+}
+
+
+class Snapshot(NamedTuple):
+    """What a step gets."""
+
+    measurements: MeasurementSet
+    spans: list[ControlSpan]
+    speed: float
+
+
+def inputs(scenario: Scenario, seed: int) -> list[Snapshot]:
+    """A run on which the vehicle goes straight now and then; what else a set may bring with it.
+
+    Sometimes a control comes between two snapshots, and every third path has its own covariance.
+    """
+    rng = np.random.default_rng([seed, 1])
+    controls = [
+        c._replace(turn_rate=0.0 if k % 5 == 0 else c.turn_rate)
+        for k, c in enumerate(scenario.controls[:STEPS])
+    ]
+    scenario = replace(scenario, controls=tuple(controls))
+    snapshots, before = [], None
+    for snapshot in simulate(scenario, np.random.default_rng(seed)):
+        spans = []
+        if before is not None:
+            parts = [0.2, 0.3] if snapshot.step % 4 == 0 else [0.5]
+            spans = [ControlSpan(before, part) for part in parts]
+        values, own = snapshot.measurements.values, snapshot.measurements.covariances.copy()
+        for path in range(0, len(values), 3):
+            own[path] = some_covariance(scenario, rng)
+        both = np.isfinite(values)[:, :, None] & np.isfinite(values)[:, None, :]
+        measured = MeasurementSet(values, np.where(both, own, 0.0))
+        snapshots.append(Snapshot(measured, spans, snapshot.control.speed))
+        before = snapshot.control
+    return snapshots
+
+
+def some_covariance(scenario: Scenario, rng: np.random.Generator) -> FloatArray:
+    """(6, 6) about as large as the scene's noise, correlated."""
+    std = np.nan_to_num(np.array(scenario.measurement_noise_std), nan=1.0)
+    root = np.eye(DIM) + 0.15 * rng.standard_normal((DIM, DIM))
+    return np.asarray(std[:, None] * (root @ root.T) * std)
+
+
+def weights_by_ids(found: Associations) -> Counter[tuple[int | None, ...]]:
+    """The weight of each association in terms of landmarks; types of them together."""
+    weights: Counter[tuple[int | None, ...]] = Counter()
+    for row, weight in zip(found.ids.tolist(), found.weight.tolist(), strict=True):
+        weights[tuple(None if i == UNASSIGNED else i for i in row)] += weight
+    return weights
+
+
+def compare(state: FilterState, density: textbook.Density) -> None:
+    """Vehicle, map and their covariance, existence, types, ids."""
+    assert state.track_id.tolist() == [landmark.id for landmark in density.landmarks]
+    assert state.next_id == density.next_id
+    existence = [landmark.existence for landmark in density.landmarks]
+    np.testing.assert_allclose(state.existence, existence, atol=TOLERANCE)
+    pairs = [(landmark.id, c) for landmark in density.landmarks for c in landmark.components]
+    assert state.track_id[state.component_track].tolist() == [number for number, _ in pairs]
+    assert state.component_type.tolist() == [c.kind for _, c in pairs]
+    shares = [c.weight for _, c in pairs]
+    np.testing.assert_allclose(state.component_weight, shares, rtol=TOLERANCE)
+
+    std = np.sqrt(np.diagonal(density.covariance))
+    error = state.mean - density.mean
+    error[2] = wrap_angle(error[2])
+    np.testing.assert_allclose(error / std, 0.0, atol=TOLERANCE)
+    difference = (state.covariance - density.covariance) / np.outer(std, std)
+    np.testing.assert_allclose(difference, 0.0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("coupling", ["joint", "marginal"])
+@pytest.mark.parametrize(
+    "scene, seed", [*((scene, 3) for scene in SCENES), *((scene, 4) for scene in list(SCENES)[:3])]
+)
+def test_the_step_is_that_of_the_textbook(scene: str, coupling: str, seed: int) -> None:
+    settings = {"coupling": coupling, **SCENES[scene]}
+    models = {name: settings.pop(name) for name in list(settings) if hasattr(Scenario, name)}
+    scenario = replace(load_scenario("paper"), **models)
+    parameters: FilterParameters = filter_parameters_for(scenario, **settings)
+    state, density = initial_filter_state(parameters), textbook.start(parameters)
+    split = 0
+    for measurements, spans, speed in inputs(scenario, seed):
+        ours = step(state, measurements, spans, speed, parameters)
+        theirs = textbook.textbook_step(density, measurements, spans, speed, parameters)
+        state, (density, hypotheses) = ours.state, theirs
+        weights: Counter[tuple[int | None, ...]] = Counter()
+        for ids, weight in hypotheses:
+            weights[ids] += weight
+        found = weights_by_ids(ours.associations)
+        assert set(found) == set(weights)
+        np.testing.assert_allclose(
+            [found[ids] for ids in weights], list(weights.values()), atol=TOLERANCE
+        )
+        compare(state, density)
+        split += len(hypotheses) > len(weights)
+    # The run had everything: a map, as many associations as allowed, landmarks of open type.
+    assert len(density.landmarks) > 5 and len(hypotheses) == parameters.gamma
+    assert split > 0 or parameters.gamma < 10
+
+
+def test_a_step_without_paths() -> None:
+    parameters = FilterParameters()
+    none = MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM)))
+    spans = [ControlSpan(Control(22.0, 0.3), 0.5)]
+    state = step(initial_filter_state(parameters), none, spans, 22.0, parameters).state
+    start = textbook.start(parameters)
+    density, hypotheses = textbook.textbook_step(start, none, spans, 22.0, parameters)
+    assert hypotheses == [((), 1.0)]
+    compare(state, density)
