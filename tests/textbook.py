@@ -51,6 +51,21 @@ class Landmark:
 
 
 @dataclass
+class Sleeper:
+    """An SP out of view: q = its mean + gain (anchors - their mean) + noise."""
+
+    landmark: Landmark
+    reach: float
+    place: Array
+    q: Array
+    covariance: Array
+    anchors: list[int]  # ids of VAs
+    anchors_q: Array
+    gain: Array
+    noise: Array
+
+
+@dataclass
 class Density:
     """p(s, X): a Gaussian over [s; q_1 ...], landmarks, and where nobody has looked yet."""
 
@@ -60,6 +75,7 @@ class Density:
     snapshots: int = 0
     viewpoints: list[tuple[Array, int]] = field(default_factory=list)
     next_id: int = 1
+    sleepers: list[Sleeper] = field(default_factory=list)
 
 
 @dataclass
@@ -115,7 +131,7 @@ def textbook_step(
 ) -> tuple[Density, list[tuple[tuple[int | None, ...], float]]]:
     """p(s, X | Z_1:k-1) to p(s, X | Z_1:k), with the ids and weights of the associations."""
     paths = read_paths(measurements, par)
-    prior = predict(density, spans, par)
+    prior = wake_up(predict(density, spans, par))
     bs = Component(BS, 1.0, np.array(par.bs_position), np.eye(3), slice(0, 0))
     known = [Landmark(0, 1.0, [bs]), *prior.landmarks]
     fits = [[weigh(prior, x, c, paths, speed, par) for c in x.components] for x in known]
@@ -128,7 +144,7 @@ def textbook_step(
     detection = {id(f.component): f.detection for group in fits for f in group}
     posterior = merge(prior, hypotheses, updated, detection, par)
     ids = [(tuple(f and f.landmark.id for f in chosen), weight) for chosen, weight in hypotheses]
-    return finish(posterior, par), ids
+    return fall_asleep(finish(posterior, par), par), ids
 
 
 # --- models --------------------------------------------------------------------------------------
@@ -590,21 +606,17 @@ def merge(
 
 def finish(posterior: Density, par: Parameters) -> Density:
     """Drops what hardly exists, and remembers the place that one looked from."""
-    keep, landmarks = [0, 1, 2, 3], []
+    landmarks = []
     for landmark in posterior.landmarks:
-        if landmark.existence <= par.prune_existence:
-            continue
-        parts = [c for c in landmark.components if c.weight > par.prune_type]
-        total = sum(c.weight for c in parts)
-        for component in parts:
-            component.weight /= total
-            keep += range(component.at.start, component.at.stop)
-            component.at = slice(len(keep) - 3, len(keep))
-        landmarks.append(replace(landmark, components=parts))
-    mean, covariance = posterior.mean[keep], posterior.covariance[np.ix_(keep, keep)]
-    mean[2] = wrap(mean[2])
+        if landmark.existence > par.prune_existence:
+            parts = [c for c in landmark.components if c.weight > par.prune_type]
+            total = sum(c.weight for c in parts)
+            parts = [replace(c, weight=c.weight / total) for c in parts]
+            landmarks.append(replace(landmark, components=parts))
+    kept = rearrange(replace(posterior, landmarks=landmarks))
+    kept.mean[2] = wrap(kept.mean[2])
 
-    here, view = mean[:2].copy(), par.sp_field_of_view
+    here, view = kept.mean[:2].copy(), par.sp_field_of_view
     near = [v for v in posterior.viewpoints if np.linalg.norm(v[0] - here) <= 2.0 * view][-400:]
     away = [float(np.linalg.norm(viewpoint - here)) for viewpoint, _ in near]
     if away and min(away) < 0.1 * view:
@@ -612,5 +624,85 @@ def finish(posterior: Density, par: Parameters) -> Density:
         near[closest] = (near[closest][0], near[closest][1] + 1)
     else:
         near.append((here, 1))
-    looks = posterior.snapshots + 1
-    return Density(mean, covariance, landmarks, looks, near, posterior.next_id)
+    return replace(kept, snapshots=posterior.snapshots + 1, viewpoints=near)
+
+
+# --- out of view ---------------------------------------------------------------------------------
+
+
+def blur(density: Density) -> float:
+    """How far the vehicle may be from where it seems to be."""
+    return 5.0 * math.sqrt(density.covariance[0, 0] + density.covariance[1, 1])
+
+
+def fall_asleep(density: Density, par: Parameters) -> Density:
+    """Takes SPs out that cannot be detected, with their regression on the VAs that are sure."""
+    anchors = [
+        (landmark.id, c.at)
+        for landmark in density.landmarks
+        for c in landmark.components
+        if c.kind == VA and landmark.existence * c.weight > 0.999
+    ]
+    index = [i for _, at in anchors for i in range(at.start, at.stop)]
+    within = density.covariance[np.ix_(index, index)]
+    awake, sleepers = [], list(density.sleepers)
+    for landmark in density.landmarks:
+        component = landmark.components[0]
+        at = component.at
+        x, by_q = place(component, density.mean[at])
+        covariance = density.covariance[at, at]
+        reach = par.sp_field_of_view + 5.0 * math.sqrt(np.trace(by_q @ covariance @ by_q.T))
+        distance = math.hypot(*(x[:2] - density.mean[:2]))
+        far = distance > reach + blur(density) + 0.1 * par.sp_field_of_view
+        if len(landmark.components) > 1 or component.kind != SP or not far:
+            awake.append(landmark)
+        elif landmark.existence >= 0.05:
+            cross = density.covariance[at, index]
+            gain = np.linalg.solve(within, cross.T).T
+            then = (density.mean[at], covariance, [number for number, _ in anchors])
+            noise = covariance - gain @ cross.T
+            sleepers.append(Sleeper(landmark, reach, x, *then, density.mean[index], gain, noise))
+    return rearrange(replace(density, landmarks=awake, sleepers=sleepers))
+
+
+def rearrange(density: Density) -> Density:
+    """Mean and covariance of the landmarks that are still there, one after the other."""
+    keep, landmarks = [0, 1, 2, 3], []
+    for landmark in density.landmarks:
+        parts = []
+        for component in landmark.components:
+            keep += range(component.at.start, component.at.stop)
+            parts.append(replace(component, at=slice(len(keep) - 3, len(keep))))
+        landmarks.append(replace(landmark, components=parts))
+    mean, covariance = density.mean[keep], density.covariance[np.ix_(keep, keep)]
+    return replace(density, mean=mean, covariance=covariance, landmarks=landmarks)
+
+
+def wake_up(density: Density) -> Density:
+    """Brings SPs back that may be detected, as the VAs that they hang on have it now."""
+    vas = {x.id: c.at for x in density.landmarks for c in x.components if c.kind == VA}
+    before = len(density.mean)
+    blocks, sleepers, landmarks = [], [], list(density.landmarks)
+    for sleeper in density.sleepers:
+        if math.hypot(*(sleeper.place[:2] - density.mean[:2])) > sleeper.reach + blur(density):
+            sleepers.append(sleeper)
+            continue
+        q, noise, follows = sleeper.q, sleeper.covariance, np.zeros((3, before))
+        if all(anchor in vas for anchor in sleeper.anchors):
+            index = [i for a in sleeper.anchors for i in range(vas[a].start, vas[a].stop)]
+            follows[:, index] = sleeper.gain
+            q = q + sleeper.gain @ (density.mean[index] - sleeper.anchors_q)
+            noise = sleeper.noise
+        at = before + 3 * len(blocks)
+        part = replace(sleeper.landmark.components[0], weight=1.0, at=slice(at, at + 3))
+        landmarks.append(replace(sleeper.landmark, components=[part]))
+        blocks.append((q, noise, follows))
+    if not blocks:
+        return density
+    mean = np.concatenate([density.mean, *(q for q, _, _ in blocks)])
+    linear = np.vstack([np.eye(before), *(follows for _, _, follows in blocks)])
+    noise = block_diag(np.zeros((before, before)), *(noise for _, noise, _ in blocks))
+    covariance = linear @ density.covariance @ linear.T + noise
+    return replace(
+        density, mean=mean, covariance=covariance, landmarks=landmarks, sleepers=sleepers
+    )
