@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
-
-import yaml
 
 from dopslam_ros import topics
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.core.parameters import to_mapping
 from dopslam_ros.core.scenario import Scenario, load_scenario
 from dopslam_ros.core.study import bounds_parameters_for, filter_parameters_for
+from dopslam_ros.processes import ask_to_stop, isolated_environment, node_command, running
 from dopslam_ros.replay import Replay, replay
 
 LISTENERS = ("filter", "bounds", "recorder")
-# Seconds for a node to appear, or to close, before the demo gives up on it.
+# Seconds for a node to appear, or to do anything, before the demo gives up on it.
 PATIENCE = 60.0
 
 
@@ -55,11 +51,7 @@ def run_live(
         DemoError: a node died or the scene did not end.
     """
     bag = folder / "live"
-    environment = {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(_domain()),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
+    environment = isolated_environment()
     model = load_scenario(scenario)
     settings = {
         "filter": {**to_mapping(filter_parameters_for(model)), "wait_for_nodes": "recorder"},
@@ -74,14 +66,16 @@ def run_live(
     }
     with ExitStack() as stack:
         nodes = {
-            name: stack.enter_context(_node(name, values, folder, environment))
+            name: stack.enter_context(
+                running(node_command(name, values, folder), folder / f"{name}.log", environment)
+            )
             for name, values in settings.items()
         }
         try:
             _follow(nodes, bag, progress)
         finally:
             for process in nodes.values():  # all at once; each is waited for on the way out
-                _ask_to_stop(process)
+                ask_to_stop(process)
     return bag
 
 
@@ -118,43 +112,6 @@ def _recorded(bag: Path) -> tuple[int, int]:
         return info.message_count if info else 0
 
     return count(topics.CHANNEL_MEASUREMENTS), min(count(topics.UE_STATE), count(topics.BOUNDS))
-
-
-@contextmanager
-def _node(
-    name: str, parameters: Mapping[str, object], folder: Path, environment: Mapping[str, str]
-) -> Iterator[subprocess.Popen[bytes]]:
-    """A node as a process that is told to stop, and waited for, at the end."""
-    file = folder / f"{name}.yaml"
-    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters)}}), "utf-8")
-    command = [sys.executable, "-m", f"dopslam_ros.nodes.{name}", "--ros-args"]
-    command += ["--params-file", str(file)]
-    with open(folder / f"{name}.log", "wb") as log:
-        process = subprocess.Popen(
-            command,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=dict(environment),
-            start_new_session=True,  # Ctrl-C comes to the demo, which ends the nodes in order
-        )
-        try:
-            yield process
-        finally:
-            _stop(process)
-
-
-def _ask_to_stop(process: subprocess.Popen[bytes]) -> None:
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-
-
-def _stop(process: subprocess.Popen[bytes]) -> None:
-    _ask_to_stop(process)
-    try:
-        process.wait(PATIENCE)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
 
 
 def replay_and_compare(bag: Path, out: Path) -> tuple[Replay, str | None]:
@@ -199,8 +156,3 @@ def new_folder(parent: Path, scenario: Scenario) -> Path:
             raise DemoError(f"cannot make the folder '{folder}': {error}") from error
         return folder
     raise DemoError(f"'{parent / name}' and 999 more exist: clear them away")
-
-
-def _domain() -> int:
-    """A ROS domain that two demos at once are unlikely to share."""
-    return 1 + os.getpid() % 100

@@ -1,0 +1,1 @@
+"""Benchmarks of everything that takes time or memory, each beside something to hold it against."""
