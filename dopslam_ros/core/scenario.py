@@ -37,13 +37,13 @@ class Blockage(NamedTuple):
 
     Attributes:
         source: 0 the BS, i the i-th landmark (from 1).
-        begin_ns: since the first snapshot [ns].
-        end_ns: since the first snapshot [ns].
+        begin: since the first snapshot [s].
+        end: since the first snapshot [s].
     """
 
     source: int
-    begin_ns: int
-    end_ns: int
+    begin: float
+    end: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +84,11 @@ class Scenario(ModelParameters):
     def blocked_at(self, step: int) -> BoolArray:
         """(1 + I,) which sources, the BS first, are blocked at snapshot ``step`` (0, 1, ...)."""
         since = step * self.period_ns
-        sources = [b.source for b in self.blocked if b.begin_ns <= since < b.end_ns]
+        sources = [
+            blockage.source
+            for blockage in self.blocked
+            if round(blockage.begin * 1e9) <= since < round(blockage.end * 1e9)
+        ]
         return np.isin(np.arange(1 + len(self.landmark_types)), sources)
 
 
@@ -165,6 +169,10 @@ def scenario_content(scenario: Scenario) -> dict[str, Any]:
             {"steps": len(list(group)), **control._asdict()}
             for control, group in itertools.groupby(scenario.controls)
         ],
+        "blocked": [
+            {"landmark": source or "BS", "from": begin, "to": end}
+            for source, begin, end in scenario.blocked
+        ],
     }
 
 
@@ -216,8 +224,7 @@ def _parse_blocked(entries: object, landmarks: int) -> tuple[Blockage, ...]:
                 f"{where}: from {begin:g} to {end:g} must be seconds since the first snapshot,"
                 " the earlier time first"
             )
-        index = 0 if source == "BS" else source
-        blocked.append(Blockage(index, round(begin * 1e9), round(end * 1e9)))
+        blocked.append(Blockage(0 if source == "BS" else source, begin, end))
     return tuple(blocked)
 
 

@@ -318,7 +318,7 @@ def test_expected_detections_lie_between_none_and_all() -> None:
 
 def test_what_is_blocked_gives_no_information() -> None:
     scenario = replace(load_scenario("paper"), detection_probability=0.7)
-    everything = tuple(Blockage(source, 0, 10**12) for source in range(9))
+    everything = tuple(Blockage(source, 0.0, 1e3) for source in range(9))
     blind = nominal_bounds(replace(scenario, blocked=everything))
     # Dead reckoning, step by step.
     state, covariance = np.array(scenario.initial_state), scenario.initial_covariance
@@ -331,7 +331,7 @@ def test_what_is_blocked_gives_no_information() -> None:
     assert blind.ceb == pytest.approx(math.sqrt(covariance[3, 3]))
     assert np.isinf(blind.leb).all()
     # Without one VA all is as if it were not there, but for its own bound.
-    one = nominal_bounds(replace(scenario, blocked=(Blockage(2, 0, 10**12),)))
+    one = nominal_bounds(replace(scenario, blocked=(Blockage(2, 0.0, 1e3),)))
     rest = np.arange(8) != 1
     without = nominal_bounds(
         replace(
@@ -347,7 +347,7 @@ def test_what_is_blocked_gives_no_information() -> None:
 
 def test_a_blocked_bs_costs_while_it_lasts_and_is_made_up_for_after() -> None:
     scenario = load_scenario("paper")
-    hidden = replace(scenario, blocked=(Blockage(0, 5_000_000_000, 15_000_000_000),))
+    hidden = replace(scenario, blocked=(Blockage(0, 5.0, 15.0),))
     free, less = (
         np.array([output.with_doppler.peb for output in session_outputs(scene)])
         for scene in (scenario, hidden)

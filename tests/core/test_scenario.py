@@ -75,12 +75,6 @@ def test_a_base_is_inherited(tmp_path: Path, base: str) -> None:
     np.testing.assert_array_equal(scenario.landmarks, original.landmarks)
 
 
-def test_the_bounds_scene_differs_from_the_paper_where_it_says() -> None:
-    one, other = load_scenario("paper"), load_scenario("paper_bounds")
-    assert other.initial_std[:2] == (0.2, 0.2) and other.detection_probability == 1.0
-    assert one.measurement_noise_std == other.measurement_noise_std
-
-
 def test_blockages_are_read_and_hold_up_to_their_end(tmp_path: Path) -> None:
     text = (
         SMALL.replace("steps: 2", "steps: 7")
@@ -90,8 +84,7 @@ def test_blockages_are_read_and_hold_up_to_their_end(tmp_path: Path) -> None:
         + "  - {landmark: 2, from: 1.0, to: 1.1}\n"
     )
     scenario = load_scenario(file_of(tmp_path, text))
-    half = 500_000_000
-    assert scenario.blocked[0] == Blockage(source=0, begin_ns=half, end_ns=1_250_000_000)
+    assert scenario.blocked[:2] == (Blockage(0, 0.5, 1.25), Blockage(2, 0.0, 0.3))
     # Snapshots at 0, 0.25, ... s: the BS at 0.5 ... 1.0 s, the SP at 0, 0.25 and 1.0 s.
     table = np.array([scenario.blocked_at(step) for step in range(scenario.steps)])
     assert table.shape == (8, 3)

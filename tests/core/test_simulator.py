@@ -184,7 +184,7 @@ def test_what_is_blocked_has_no_path_and_all_else_is_as_before() -> None:
     # The BS at 2 ... 3.5 s, SP 5 (in view at the start) from the start to 1 s: two snapshots.
     hidden = replace(
         scenario,
-        blocked=(Blockage(0, 2_000_000_000, 4_000_000_000), Blockage(5, 0, 1_000_000_000)),
+        blocked=(Blockage(0, 2.0, 4.0), Blockage(5, 0.0, 1.0)),
     )
     for free, less in zip(run(scenario, 8), run(hidden, 8), strict=True):
         gone = {0} if 4 <= free.step < 8 else {5} if free.step < 2 else set()
