@@ -7,12 +7,12 @@ import itertools
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
-from dopslam_ros.core.arrays import FloatArray, IntArray
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.model import ModelParameters
 from dopslam_ros.core.motion import Control
@@ -32,6 +32,20 @@ class ScenarioError(ValueError):
     """A scenario file cannot be used; the message says where and why."""
 
 
+class Blockage(NamedTuple):
+    """Something in the way of a path for a while, the end not included.
+
+    Attributes:
+        source: 0 the BS, i the i-th landmark (from 1).
+        begin: since the first snapshot [s].
+        end: since the first snapshot [s].
+    """
+
+    source: int
+    begin: float
+    end: float
+
+
 @dataclasses.dataclass(frozen=True)
 class Scenario(ModelParameters):
     """A scene: the models, the true landmarks and the controls.
@@ -40,6 +54,7 @@ class Scenario(ModelParameters):
         landmarks: (I, 3) true positions of VAs and SPs [m] (the BS is in the model).
         landmark_types: (I,) VA or SP.
         controls: (K,) the control from snapshot k to the next.
+        blocked: when which source has no path, wherever the vehicle is.
     """
 
     name: str = parameter("paper", "Name of the scene.")
@@ -50,6 +65,7 @@ class Scenario(ModelParameters):
         default_factory=lambda: np.zeros(0, dtype=np.int64)
     )
     controls: tuple[Control, ...] = ()
+    blocked: tuple[Blockage, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -64,6 +80,16 @@ class Scenario(ModelParameters):
     def stamp_ns(self, step: int) -> int:
         """Time of snapshot ``step`` (0, 1, ...) [ns]."""
         return START_NS + step * self.period_ns
+
+    def blocked_at(self, step: int) -> BoolArray:
+        """(1 + I,) which sources, the BS first, are blocked at snapshot ``step`` (0, 1, ...)."""
+        since = step * self.period_ns
+        sources = [
+            blockage.source
+            for blockage in self.blocked
+            if round(blockage.begin * 1e9) <= since < round(blockage.end * 1e9)
+        ]
+        return np.isin(np.arange(1 + len(self.landmark_types)), sources)
 
 
 def builtin_scenarios() -> list[str]:
@@ -122,8 +148,14 @@ def parse_scenario(content: object) -> Scenario:
     values: dict[str, Any] = dict(content)
     positions, types = _parse_landmarks(values.pop("landmarks", []))
     controls = _parse_controls(values.pop("controls", []))
+    blocked = _parse_blocked(values.pop("blocked", []), len(types))
     return from_mapping(
-        Scenario, values, landmarks=positions, landmark_types=types, controls=controls
+        Scenario,
+        values,
+        landmarks=positions,
+        landmark_types=types,
+        controls=controls,
+        blocked=blocked,
     )
 
 
@@ -136,6 +168,10 @@ def scenario_content(scenario: Scenario) -> dict[str, Any]:
         "controls": [
             {"steps": len(list(group)), **control._asdict()}
             for control, group in itertools.groupby(scenario.controls)
+        ],
+        "blocked": [
+            {"landmark": source or "BS", "from": begin, "to": end}
+            for source, begin, end in scenario.blocked
         ],
     }
 
@@ -166,6 +202,30 @@ def _parse_controls(entries: object) -> tuple[Control, ...]:
         speed, turn_rate = _numbers([entry["speed"], entry["turn_rate"]], 2, where)
         controls += [Control(speed, turn_rate)] * steps
     return tuple(controls)
+
+
+def _parse_blocked(entries: object, landmarks: int) -> tuple[Blockage, ...]:
+    if not isinstance(entries, list):
+        raise ScenarioError("'blocked' must be a list of {landmark: BS or number, from: s, to: s}")
+    blocked: list[Blockage] = []
+    for number, entry in enumerate(entries, start=1):
+        where = f"blockage {number} of {len(entries)}"
+        source = _entry(entry, where, ("landmark", "from", "to"))["landmark"]
+        if source != "BS" and (
+            not isinstance(source, int) or isinstance(source, bool) or not 1 <= source <= landmarks
+        ):
+            raise ScenarioError(
+                f"{where}: landmark {source!r} must be BS or the number, from 1, of one of the"
+                f" {landmarks} landmarks"
+            )
+        begin, end = _numbers([entry["from"], entry["to"]], 2, where)
+        if not 0.0 <= begin < end:
+            raise ScenarioError(
+                f"{where}: from {begin:g} to {end:g} must be seconds since the first snapshot,"
+                " the earlier time first"
+            )
+        blocked.append(Blockage(0 if source == "BS" else source, begin, end))
+    return tuple(blocked)
 
 
 def _entry(entry: object, where: str, keys: tuple[str, ...]) -> Mapping[str, Any]:

@@ -184,14 +184,15 @@ class WorldState:
         ids: (M,) ids of the landmarks.
         types: (M,) LandmarkType; a BS among them or not.
         positions: (M, 3) [m].
-        detected: (M,) which had a path, when that is known; None: p_D of the model, in expectation.
+        detected: (M,) which had a path, or how likely each was to have one, where that is known;
+            None: p_D of the model, in expectation.
     """
 
     ue: FloatArray
     ids: IntArray
     types: IntArray
     positions: FloatArray
-    detected: BoolArray | None = None
+    detected: BoolArray | FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -258,8 +259,8 @@ class BoundsSession:
             ue = np.append(world.ue[:2], model.ue_height)
             chance = detection_probabilities(model, ue, positions, types) * paths.facing
         else:
-            bs_detected = world.detected[~listed].any()
-            chance = np.concatenate([[bs_detected], world.detected[listed]]).astype(np.float64)
+            known = world.detected.astype(np.float64)
+            chance = np.concatenate([[known[~listed].max(initial=0.0)], known[listed]])
 
         results = []
         for number, variant in enumerate(self._models):

@@ -53,13 +53,20 @@ def all_landmarks(scenario: Scenario) -> tuple[FloatArray, IntArray]:
     return positions, types.astype(np.int64)
 
 
-def visible(scenario: Scenario, state: FloatArray, speed: float) -> BoolArray:
-    """(1 + I,) which landmarks, the BS first, have a path to the vehicle at ``state`` (4,)."""
+def visible(scenario: Scenario, state: FloatArray, step: int) -> BoolArray:
+    """(1 + I,) which landmarks, the BS first, have a path to the vehicle.
+
+    Args:
+        scenario: the scene.
+        state: (4,) of the vehicle.
+        step: number of the snapshot, 0, 1, ...: some may be blocked then.
+    """
     positions, types = all_landmarks(scenario)
+    speed = scenario.controls[step].speed
     paths = observe(state, speed, positions, types, scenario.bs, scenario.ue_height)
     ue = np.array([state[0], state[1], scenario.ue_height])
     inside = detection_probabilities(scenario, ue, positions, types) > 0.0
-    return inside & paths.facing & ~paths.degenerate
+    return inside & paths.facing & ~paths.degenerate & ~scenario.blocked_at(step)
 
 
 def simulate(scenario: Scenario, rng: np.random.Generator) -> Iterator[Snapshot]:
@@ -78,7 +85,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Iterator[Snapshot]
     noise_std = np.sqrt(scenario.noise_rate * scenario.period)
     for step, control in enumerate(scenario.controls):
         measurements, sources = _draw_set(
-            scenario, state, control, paths.spawn(1)[0], clutter.spawn(1)[0]
+            scenario, state, step, paths.spawn(1)[0], clutter.spawn(1)[0]
         )
         yield Snapshot(step, scenario.stamp_ns(step), control, state.copy(), measurements, sources)
         state = propagate(state, control, scenario.period) + noises.normal(0.0, noise_std)
@@ -88,16 +95,17 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Iterator[Snapshot]
 def _draw_set(
     scenario: Scenario,
     state: FloatArray,
-    control: Control,
+    step: int,
     rng: np.random.Generator,
     clutter_rng: np.random.Generator,
 ) -> tuple[MeasurementSet, IntArray]:
     positions, types = all_landmarks(scenario)
-    paths = observe(state, control.speed, positions, types, scenario.bs, scenario.ue_height)
+    speed = scenario.controls[step].speed
+    paths = observe(state, speed, positions, types, scenario.bs, scenario.ue_height)
     std = np.array(scenario.measurement_noise_std)
     noisy = paths.mean + std * rng.standard_normal((len(types), DIM))
     chance = rng.random(len(types))
-    detected = visible(scenario, state, control.speed) & (chance < scenario.detection_probability)
+    detected = visible(scenario, state, step) & (chance < scenario.detection_probability)
 
     box = clutter_box(scenario)
     false_paths = clutter_rng.uniform(

@@ -9,7 +9,7 @@ from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import shared_values
 from dopslam_ros.core.scenario import Scenario
 from dopslam_ros.core.session import BoundsOutput, BoundsParameters, BoundsSession, WorldState
-from dopslam_ros.core.simulator import all_landmarks, nominal_trajectory
+from dopslam_ros.core.simulator import all_landmarks, nominal_trajectory, visible
 
 
 def filter_parameters_for(scenario: Scenario, **settings: object) -> FilterParameters:
@@ -29,7 +29,8 @@ def nominal_bounds(scenario: Scenario) -> Bounds:
     outputs: list[BoundsOutput] = []
     for step, state in enumerate(nominal_trajectory(scenario)):
         stamp, control = scenario.stamp_ns(step), scenario.controls[step]
-        world = WorldState(state, np.arange(len(types)), types, positions)
+        chance = np.where(visible(scenario, state, step), scenario.detection_probability, 0.0)
+        world = WorldState(state, np.arange(len(types)), types, positions, chance)
         outputs += bounding.add_control(stamp, control.speed, control.turn_rate)
         outputs += bounding.add_world(stamp, world)
     return outputs[-1].with_doppler

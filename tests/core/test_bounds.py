@@ -20,8 +20,8 @@ from dopslam_ros.core.bounds import (
 )
 from dopslam_ros.core.channel import DIM, LandmarkType, observe
 from dopslam_ros.core.model import with_doppler_std
-from dopslam_ros.core.motion import Control, ControlSpan, propagation_jacobian
-from dopslam_ros.core.scenario import Scenario, load_scenario
+from dopslam_ros.core.motion import Control, ControlSpan, propagate, propagation_jacobian
+from dopslam_ros.core.scenario import Blockage, Scenario, load_scenario
 from dopslam_ros.core.session import BoundsOutput, BoundsSession, WorldState
 from dopslam_ros.core.simulator import all_landmarks, nominal_trajectory, visible
 from dopslam_ros.core.study import bounds_parameters_for, nominal_bounds
@@ -43,7 +43,7 @@ def recursion(scenario: Scenario, steps: int | None = None) -> BoundState:
             span = ControlSpan(scenario.controls[step - 1], scenario.period)
             bound = predict_bound(bound, states[step - 1], [span], scenario.noise_rate)
         paths = observe(state, control.speed, positions, types, scenario.bs)
-        seen = visible(scenario, state, control.speed).astype(float)
+        seen = visible(scenario, state, step).astype(float)
         bound = update_bound(
             bound, paths, IDS, types == 0, seen, scenario.noise, scenario.used_components
         )
@@ -56,7 +56,7 @@ def session_outputs(scenario: Scenario) -> list[BoundsOutput]:
     outputs: list[BoundsOutput] = []
     for step, state in enumerate(nominal_trajectory(scenario)):
         stamp, control = scenario.stamp_ns(step), scenario.controls[step]
-        seen = visible(scenario, state, control.speed)
+        seen = visible(scenario, state, step)
         outputs += session.add_world(stamp, WorldState(state, IDS, types, positions, seen))
         outputs += session.add_control(stamp, control.speed, control.turn_rate)
     return outputs
@@ -314,3 +314,44 @@ def test_expected_detections_lie_between_none_and_all() -> None:
     half = nominal_bounds(scenario)
     full = nominal_bounds(replace(scenario, detection_probability=1.0))
     assert full.peb < half.peb < 2.0 * full.peb
+
+
+def test_what_is_blocked_gives_no_information() -> None:
+    scenario = replace(load_scenario("paper"), detection_probability=0.7)
+    everything = tuple(Blockage(source, 0.0, 1e3) for source in range(9))
+    blind = nominal_bounds(replace(scenario, blocked=everything))
+    # Dead reckoning, step by step.
+    state, covariance = np.array(scenario.initial_state), scenario.initial_covariance
+    for control in scenario.controls[:-1]:
+        f = propagation_jacobian(state, control, scenario.period)
+        covariance = f @ covariance @ f.T + np.diag(scenario.noise_rate) * scenario.period
+        state = propagate(state, control, scenario.period)
+    assert blind.peb == pytest.approx(math.sqrt(covariance[0, 0] + covariance[1, 1]))
+    assert blind.heb == pytest.approx(math.sqrt(covariance[2, 2]))
+    assert blind.ceb == pytest.approx(math.sqrt(covariance[3, 3]))
+    assert np.isinf(blind.leb).all()
+    # Without one VA all is as if it were not there, but for its own bound.
+    one = nominal_bounds(replace(scenario, blocked=(Blockage(2, 0.0, 1e3),)))
+    rest = np.arange(8) != 1
+    without = nominal_bounds(
+        replace(
+            scenario,
+            landmarks=scenario.landmarks[rest],
+            landmark_types=scenario.landmark_types[rest],
+        )
+    )
+    np.testing.assert_allclose(one[:3], without[:3], rtol=1e-9)
+    np.testing.assert_allclose(one.leb[rest], without.leb, rtol=1e-9)
+    assert np.isinf(one.leb[1])
+
+
+def test_a_blocked_bs_costs_while_it_lasts_and_is_made_up_for_after() -> None:
+    scenario = load_scenario("paper")
+    hidden = replace(scenario, blocked=(Blockage(0, 5.0, 15.0),))
+    free, less = (
+        np.array([output.with_doppler.peb for output in session_outputs(scene)])
+        for scene in (scenario, hidden)
+    )
+    np.testing.assert_array_equal(free[:10], less[:10])
+    assert np.all(less[10:30] > 1.02 * free[10:30])
+    assert less[30] < less[29] and less[-1] < 1.1 * free[-1]

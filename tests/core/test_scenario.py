@@ -12,8 +12,8 @@ import yaml
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.motion import Control
 from dopslam_ros.core.scenario import (
+    Blockage,
     ScenarioError,
-    builtin_scenarios,
     load_scenario,
     parse_scenario,
 )
@@ -75,11 +75,37 @@ def test_a_base_is_inherited(tmp_path: Path, base: str) -> None:
     np.testing.assert_array_equal(scenario.landmarks, original.landmarks)
 
 
-def test_the_bounds_scene_differs_from_the_paper_where_it_says() -> None:
-    one, other = load_scenario("paper"), load_scenario("paper_bounds")
-    assert other.initial_std[:2] == (0.2, 0.2) and other.detection_probability == 1.0
-    assert one.measurement_noise_std == other.measurement_noise_std
-    assert builtin_scenarios() == ["paper", "paper_bounds"]
+def test_blockages_are_read_and_hold_up_to_their_end(tmp_path: Path) -> None:
+    text = (
+        SMALL.replace("steps: 2", "steps: 7")
+        + "blocked:\n"
+        + "  - {landmark: BS, from: 0.5, to: 1.25}\n"
+        + "  - {landmark: 2, from: 0, to: 0.3}\n"
+        + "  - {landmark: 2, from: 1.0, to: 1.1}\n"
+    )
+    scenario = load_scenario(file_of(tmp_path, text))
+    assert scenario.blocked[:2] == (Blockage(0, 0.5, 1.25), Blockage(2, 0.0, 0.3))
+    # Snapshots at 0, 0.25, ... s: the BS at 0.5 ... 1.0 s, the SP at 0, 0.25 and 1.0 s.
+    table = np.array([scenario.blocked_at(step) for step in range(scenario.steps)])
+    assert table.shape == (8, 3)
+    assert np.flatnonzero(table[:, 0]).tolist() == [2, 3, 4]
+    assert not table[:, 1].any()
+    assert np.flatnonzero(table[:, 2]).tolist() == [0, 1, 4]
+    assert load_scenario("paper").blocked == ()
+
+
+def test_a_time_between_two_floats_is_still_the_snapshot() -> None:
+    # 3 * 0.1 is more than 0.3 in binary: in whole nanoseconds it is not.
+    controls = [{"steps": 6, "speed": 1.0, "turn_rate": 0.0}]
+    blocked = [{"landmark": "BS", "from": 0.1, "to": 0.3}]
+    scenario = parse_scenario({"period": 0.1, "controls": controls, "blocked": blocked})
+    assert [scenario.blocked_at(step).tolist() for step in range(5)] == [
+        [False],
+        [True],
+        [True],
+        [False],
+        [False],
+    ]
 
 
 @pytest.mark.parametrize(
@@ -125,6 +151,45 @@ def test_the_bounds_scene_differs_from_the_paper_where_it_says() -> None:
         (
             {"controls": [{"steps": 2, "speed": "x", "turn_rate": 0.0}]},
             ["control 1 of 1", "'x'", "finite"],
+        ),
+        ({"blocked": {"landmark": "BS"}}, ["blocked", "list"]),
+        ({"blocked": None}, ["blocked", "list"]),
+        ({"blocked": ["BS"]}, ["blockage 1 of 1", "'BS'", "landmark, from, to"]),
+        (
+            {"blocked": [{"landmark": "VA", "from": 0.0, "to": 1.0}]},
+            ["blockage 1 of 1", "'VA'", "BS or", "2 landmarks"],
+        ),
+        (
+            {"blocked": [{"landmark": 3, "from": 0.0, "to": 1.0}]},
+            ["blockage 1 of 1", "landmark 3", "2 landmarks"],
+        ),
+        (
+            {"blocked": [{"landmark": 0, "from": 0.0, "to": 1.0}]},
+            ["blockage 1 of 1", "landmark 0", "BS"],
+        ),
+        (
+            {"blocked": [{"landmark": True, "from": 0.0, "to": 1.0}]},
+            ["blockage 1 of 1", "landmark True"],
+        ),
+        (
+            {"blocked": [{"landmark": "BS", "from": 5.0, "to": 5.0}]},
+            ["blockage 1 of 1", "5", "earlier time first"],
+        ),
+        (
+            {"blocked": [{"landmark": "BS", "from": -1.0, "to": 5.0}]},
+            ["blockage 1 of 1", "-1", "since the first snapshot"],
+        ),
+        (
+            {"blocked": [{"landmark": "BS", "from": 1.0, "to": math.inf}]},
+            ["blockage 1 of 1", "inf", "finite"],
+        ),
+        (
+            {"blocked": [{"landmark": "BS", "from": 1.0}]},
+            ["blockage 1 of 1", "'to' is missing"],
+        ),
+        (
+            {"blocked": [{"landmark": "BS", "form": 1.0, "to": 2.0}]},
+            ["blockage 1 of 1", "'form'", "did you mean 'from'"],
         ),
     ],
 )

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from dopslam_ros.core.arrays import wrap_angle
+from dopslam_ros.core.arrays import BoolArray, wrap_angle
 from dopslam_ros.core.channel import DIM, LandmarkType, observe, residual
 from dopslam_ros.core.model import clutter_box, with_doppler_std
 from dopslam_ros.core.motion import Control, propagate
-from dopslam_ros.core.scenario import Scenario, load_scenario
+from dopslam_ros.core.scenario import Blockage, Scenario, load_scenario
 from dopslam_ros.core.simulator import (
     CLUTTER,
     Snapshot,
@@ -74,7 +74,7 @@ def test_misdetections_are_as_frequent_as_they_should_be() -> None:
     scenario = load_scenario("paper")
     possible = seen = 0
     for snapshot in many(scenario, 60):
-        inside = visible(scenario, snapshot.state, snapshot.control.speed)
+        inside = visible(scenario, snapshot.state, snapshot.step)
         detected = np.isin(np.arange(9), snapshot.sources)
         assert not (detected & ~inside).any()
         possible += int(inside.sum())
@@ -169,13 +169,34 @@ def test_azimuths_are_wrapped() -> None:
 
 def test_scattering_points_come_into_sight_where_the_paper_sees_them() -> None:
     scenario = load_scenario("paper")
-    sight = np.array([visible(scenario, s, 22.22) for s in nominal_trajectory(scenario)])
+    track = nominal_trajectory(scenario)
+    sight = np.array([visible(scenario, state, step) for step, state in enumerate(track)])
     assert sight[:, :5].all()
     # 35.6 m away at the nearest, in view for a while around each of the four.
     assert sight[:, 5:].sum(axis=1).max() == 1
     first = [int(np.argmax(sight[5:, 5 + k])) + 5 for k in range(1, 4)]
     # The figure drops at k = 8, 18, 28, counted from 1.
     assert sorted(first) == [7, 17, 27]
+
+
+def test_what_is_blocked_has_no_path_and_all_else_is_as_before() -> None:
+    scenario = replace(load_scenario("paper"), detection_probability=1.0)
+    # The BS at 2 ... 3.5 s, SP 5 (in view at the start) from the start to 1 s: two snapshots.
+    hidden = replace(
+        scenario,
+        blocked=(Blockage(0, 2.0, 4.0), Blockage(5, 0.0, 1.0)),
+    )
+    for free, less in zip(run(scenario, 8), run(hidden, 8), strict=True):
+        gone = {0} if 4 <= free.step < 8 else {5} if free.step < 2 else set()
+        assert gone <= set(free.sources.tolist())
+        np.testing.assert_array_equal(free.state, less.state)
+        keep = ~np.isin(free.sources, list(gone))
+
+        def rows(snapshot: Snapshot, keep: BoolArray) -> list[list[float]]:
+            table = np.column_stack([snapshot.sources, snapshot.measurements.values])
+            return sorted(table[keep].tolist())
+
+        assert rows(free, keep) == rows(less, np.ones(len(less.sources), dtype=bool))
 
 
 SINGULAR = {
