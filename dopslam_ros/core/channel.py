@@ -20,7 +20,7 @@ from dopslam_ros.core.arrays import (
     floats,
     integers,
 )
-from dopslam_ros.core.kernels import channel as kernel
+from dopslam_ros.core.kernels import channel as kernels
 
 COMPONENTS = (
     "path_length",
@@ -38,9 +38,9 @@ AZIMUTHS = (1, 3)
 class LandmarkType(IntEnum):
     """m in the paper. The numbers are those of dopslam_msgs/Landmark."""
 
-    BS = kernel.BS
-    VA = kernel.VA
-    SP = kernel.SP
+    BS = kernels.BS
+    VA = kernels.VA
+    SP = kernels.SP
 
 
 class Paths(NamedTuple):
@@ -96,7 +96,7 @@ def observe(
         np.empty(count, dtype=np.bool_),
         np.empty(count, dtype=np.bool_),
     )
-    kernel.observe_sources(
+    kernels.observe_sources(
         floats(state),
         float(speed),
         floats(bs_position),
@@ -123,10 +123,10 @@ def incidence_points(
     ue = np.array([state[0], state[1], ue_height])
     target = np.where((types == LandmarkType.BS)[:, None], bs_position, positions)
     leg = target - bs_position
-    normal = leg / np.maximum(np.linalg.norm(leg, axis=1), kernel.SMALLEST_DISTANCE)[:, None]
+    normal = leg / np.maximum(np.linalg.norm(leg, axis=1), kernels.SMALLEST_DISTANCE)[:, None]
     along = np.einsum("mi,mi->m", target - ue, normal)
     height = np.einsum("mi,mi->m", 0.5 * (target + bs_position) - ue, normal)
-    crosses = (height > kernel.SMALLEST_DISTANCE) & (along > height)
+    crosses = (height > kernels.SMALLEST_DISTANCE) & (along > height)
     fraction = np.where(crosses, height / np.where(crosses, along, 1.0), np.nan)
     point = ue + fraction[:, None] * (target - ue)
     return np.where((types == LandmarkType.VA)[:, None], point, target)
@@ -135,5 +135,5 @@ def incidence_points(
 def residual(measured: FloatArray, expected: FloatArray) -> FloatArray:
     """Innovation z - h (..., 6) with the azimuths wrapped; NaN where nothing was measured."""
     difference = floats(np.subtract(measured, expected))
-    kernel.wrap_azimuths(difference.reshape(-1, DIM))
+    kernels.wrap_azimuths(difference.reshape(-1, DIM))
     return difference

@@ -18,7 +18,7 @@ from dopslam_ros.core.arrays import (
     integers,
 )
 from dopslam_ros.core.channel import COMPONENTS, DIM, DOPPLER
-from dopslam_ros.core.kernels import detection as kernel
+from dopslam_ros.core.kernels import detection as kernels
 from dopslam_ros.core.parameters import parameter
 
 
@@ -165,7 +165,7 @@ def detection_probabilities(
     check_shapes(
         ue=(ue, (3,)), positions=(positions, (len(types), 3)), spread=(spread, detection.shape)
     )
-    kernel.detection_probabilities(
+    kernels.detection_probabilities(
         floats(ue),
         floats(positions),
         integers(types),

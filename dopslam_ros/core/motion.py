@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, check_shapes, floats
-from dopslam_ros.core.kernels import motion as kernel
+from dopslam_ros.core.kernels import motion as kernels
 
 
 class Control(NamedTuple):
@@ -42,7 +42,7 @@ def propagate(state: FloatArray, control: Control, duration: float) -> FloatArra
         (..., 4) the state after ``duration``; heading wrapped.
     """
     after = np.array(state, dtype=np.float64, order="C")
-    kernel.propagate(
+    kernels.propagate(
         after.reshape(-1, 4), float(control.speed), float(control.turn_rate), float(duration)
     )
     return after
@@ -51,7 +51,7 @@ def propagate(state: FloatArray, control: Control, duration: float) -> FloatArra
 def propagation_jacobian(state: FloatArray, control: Control, duration: float) -> FloatArray:
     """F = df/ds of eq. (1), (4, 4), at ``state`` (4,)."""
     speed, turn_rate = float(control.speed), float(control.turn_rate)
-    dx, dy = kernel.chord(float(state[2]), speed, turn_rate, float(duration))
+    dx, dy = kernels.chord(float(state[2]), speed, turn_rate, float(duration))
     jacobian = np.eye(4)
     jacobian[0, 2] = -dy
     jacobian[1, 2] = dx
@@ -75,7 +75,7 @@ def propagate_spans(
     after, jacobian, noise = np.array(state, dtype=np.float64), np.eye(4), np.zeros((4, 4))
     pieces = [(control.speed, control.turn_rate, duration) for control, duration in spans]
     rows = np.array(pieces, dtype=np.float64).reshape(-1, 3)
-    kernel.propagate_spans(after, rows, floats(noise_rate), jacobian, noise)
+    kernels.propagate_spans(after, rows, floats(noise_rate), jacobian, noise)
     return after, jacobian, noise
 
 
@@ -99,5 +99,5 @@ def predict_covariance(
         noise=(noise, (4, 4)),
     )
     after = np.array(covariance, dtype=np.float64, order="C")
-    kernel.predict_covariance(floats(covariance), floats(jacobian), floats(noise), after)
+    kernels.predict_covariance(floats(covariance), floats(jacobian), floats(noise), after)
     return after

@@ -17,6 +17,7 @@ from dopslam_ros.core.channel import (
     observe,
     residual,
 )
+from dopslam_ros.core.kernels import channel as kernels
 
 BS = np.array([3.0, -5.0, 40.0])
 GEOMETRIES = range(60)
@@ -282,3 +283,51 @@ def test_residual_wraps_azimuths_only_and_keeps_nan() -> None:
     difference = residual(measured, expected)
     near = 6.2 - 2.0 * math.pi
     np.testing.assert_allclose(difference, [400.0, near, 3.0, -near, -3.0, np.nan])
+
+
+def test_residual_of_every_path_and_source() -> None:
+    rng = np.random.default_rng(0)
+    measured = rng.uniform(-3.0, 3.0, (6, 5)).T  # not in the order of C
+    expected = rng.uniform(-3.0, 3.0, (4, 1, DIM))
+    difference = residual(measured, expected)
+    assert difference.shape == (4, 5, DIM)
+    turns = (measured - expected - difference) / (2.0 * math.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
+    assert set(np.unique(np.round(turns[..., AZIMUTHS]))) == {-1.0, 0.0, 1.0}
+    others = [column for column in range(DIM) if column not in AZIMUTHS]
+    np.testing.assert_array_equal(turns[..., others], 0.0)
+    assert (np.abs(difference[..., AZIMUTHS]) <= math.pi).all()
+
+
+def test_arrays_of_other_kinds_are_taken_and_compile_nothing_new() -> None:
+    rows = np.array([[80, 30, 5], [20, -60, 9], [7, 8, 100]])
+    types = np.array([2, 1, 0])
+    usual = observe(STATE, 20.0, rows.astype(np.float64), types, BS)
+    compiled = len(kernels.observe_sources.signatures)
+    sealed = STATE.copy()
+    sealed.setflags(write=False)
+    kinds = (np.asfortranarray(rows), types.astype(np.int32), np.array(BS, dtype=np.float32))
+    other = observe(sealed, np.int64(20), *kinds, ue_height=0)
+    for one, same in zip(usual, other, strict=True):
+        np.testing.assert_array_equal(one, same)
+    assert len(kernels.observe_sources.signatures) == compiled
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("state", {"state": np.zeros(3)}),
+        ("positions", {"positions": np.zeros((1, 3))}),
+        ("positions", {"types": np.array([1])}),
+        ("bs", {"bs_position": np.zeros(2)}),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused(name: str, change: dict[str, FloatArray]) -> None:
+    fitting = {
+        "state": STATE,
+        "positions": np.ones((2, 3)),
+        "types": np.array([1, 2]),
+        "bs_position": BS,
+    }
+    with pytest.raises(ValueError, match=f"'{name}' has the shape"):
+        observe(speed=20.0, **{**fitting, **change})

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.model import (
@@ -78,6 +79,16 @@ def test_detection_is_an_expectation_where_they_are_not() -> None:
     # Without spread it is the step again.
     sharp = detection_probabilities(model, UE, positions, np.full(6, 2), np.zeros(6))
     np.testing.assert_allclose(sharp[[0, 1, 2, 4, 5]], [0.9, 0.9, 0.9, 0.0, 0.0])
+
+
+def test_the_edge_is_a_normal_distribution_far_into_its_tails() -> None:
+    distances = np.linspace(1.0, 120.0, 60)
+    positions, spread = UE + np.outer(distances, [0.6, 0.0, 0.8]), np.linspace(0.5, 6.0, 60)
+    chance = detection_probabilities(ModelParameters(), UE, positions, np.full(60, 2), spread)
+    expected = 0.9 * norm.cdf((50.0 - distances) / spread)
+    np.testing.assert_allclose(chance, expected, rtol=1e-12, atol=1e-300)
+    with pytest.raises(ValueError, match="'spread' has the shape"):
+        detection_probabilities(ModelParameters(), UE, positions, np.full(60, 2), spread[:1])
 
 
 def test_clutter_integrates_to_its_mean() -> None:

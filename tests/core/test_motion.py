@@ -12,6 +12,7 @@ from dopslam_ros.core.arrays import FloatArray, wrap_angle
 from dopslam_ros.core.motion import (
     Control,
     ControlSpan,
+    predict_covariance,
     propagate,
     propagate_spans,
     propagation_jacobian,
@@ -148,6 +149,28 @@ def test_noise_of_spans_against_sampling() -> None:
     sampled = error.T @ error / len(error)
     scale = np.sqrt(np.outer(np.diag(noise), np.diag(noise)))
     np.testing.assert_allclose(sampled / scale, noise / scale, atol=0.03)
+
+
+@pytest.mark.parametrize("size", [4, 5, 31])
+def test_the_covariance_moves_with_the_vehicle_only(size: int) -> None:
+    rng = np.random.default_rng(size)
+    root, step, noise = rng.normal(size=(size, size)), rng.normal(size=(4, 4)), rng.normal(size=4)
+    covariance = root @ root.T
+    before = covariance.copy()
+    f, q = np.eye(size), np.zeros((size, size))
+    f[:4, :4], q[:4, :4] = step, np.diag(noise**2)
+    moved = predict_covariance(covariance, step, np.diag(noise**2))
+    np.testing.assert_allclose(moved, f @ covariance @ f.T + q, rtol=1e-10, atol=1e-10)
+    np.testing.assert_array_equal(moved, moved.T)
+    np.testing.assert_array_equal(covariance, before)
+
+
+def test_shapes_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="'state' has the shape"):
+        propagate_spans(np.zeros(3), [], RATE)
+    for covariance in (np.eye(3), np.zeros((5, 4))):
+        with pytest.raises(ValueError, match="'covariance' has the shape"):
+            predict_covariance(covariance, np.eye(4), np.zeros((4, 4)))
 
 
 def test_no_span_is_no_motion() -> None:

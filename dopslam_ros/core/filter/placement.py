@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, check_shapes, floats
-from dopslam_ros.core.kernels import placement as kernel
+from dopslam_ros.core.kernels import placement as kernels
 
 
 def frames(offset: FloatArray) -> FloatArray:
@@ -28,21 +28,21 @@ def frames(offset: FloatArray) -> FloatArray:
     """
     axes = np.empty((len(offset), 3, 3))
     check_shapes(offset=(offset, (len(axes), 3)))
-    kernel.frames(floats(offset), axes)
+    kernels.frames(floats(offset), axes)
     return axes
 
 
 def positions(origin: FloatArray, axes: FloatArray, q: FloatArray) -> FloatArray:
     """(M, 3) positions [m] of landmarks q (M, 3) with origins (M, 3) and axes (M, 3, 3)."""
     position = _like_frames(origin, axes, q)
-    kernel.positions(floats(origin), floats(axes), floats(q), position)
+    kernels.positions(floats(origin), floats(axes), floats(q), position)
     return position
 
 
 def placements(origin: FloatArray, axes: FloatArray, position: FloatArray) -> FloatArray:
     """(M, 3) q of positions (M, 3) in front of the frames; the inverse of ``positions``."""
     q = _like_frames(origin, axes, position)
-    kernel.placements(floats(origin), floats(axes), floats(position), q)
+    kernels.placements(floats(origin), floats(axes), floats(position), q)
     return q
 
 
@@ -50,7 +50,7 @@ def jacobians(axes: FloatArray, q: FloatArray) -> FloatArray:
     """(M, 3, 3) derivatives of the positions with respect to q."""
     jacobian = np.empty((len(q), 3, 3))
     check_shapes(axes=(axes, jacobian.shape), q=(q, (len(q), 3)))
-    kernel.jacobians(floats(axes), floats(q), jacobian)
+    kernels.jacobians(floats(axes), floats(q), jacobian)
     return jacobian
 
 

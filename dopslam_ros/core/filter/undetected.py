@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray, check_shapes, floats, integers
-from dopslam_ros.core.kernels import detection as kernel
+from dopslam_ros.core.kernels import detection as kernels
 from dopslam_ros.core.model import ModelParameters
 
 # Viewpoints nearer to each other than this share of the field of view count as one.
@@ -65,7 +65,7 @@ def log_share_left(
     """
     log_share = np.empty(len(types))
     check_shapes(positions=(positions, (len(types), 3)), spread=(spread, log_share.shape))
-    kernel.log_shares_left(
+    kernels.log_shares_left(
         int(undetected.looks),
         floats(undetected.viewpoints),
         integers(undetected.viewpoint_looks),

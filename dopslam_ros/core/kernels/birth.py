@@ -1,4 +1,7 @@
-"""A landmark fitted to a single path: Gauss-Newton and the Laplace approximation."""
+"""A landmark fitted to a single path: Gauss-Newton and the Laplace approximation.
+
+Sizes are passed on as ``len(...)``: for literals the callees would be compiled once more each.
+"""
 
 from __future__ import annotations
 
@@ -158,15 +161,15 @@ def fit(
         if not linearise(ue_covariance, z, used, noise, h, a, b, root, white, normal):
             return False
         add_prior(height_mean, height_std, position[2], normal)
-        if not cholesky(normal, 3):
+        if not cholesky(normal, len(position)):
             return False
         if step == GAUSS_NEWTON_STEPS:
             break
         # The last row of the bordered equations is their right-hand side, and then the step.
         right = normal[3]
-        forward(normal, right, 3)
+        forward(normal, right, len(position))
         size = right[0] * right[0] + right[1] * right[1] + right[2] * right[2]
-        backward(normal, right, 3)
+        backward(normal, right, len(position))
         length = math.sqrt(right[0] * right[0] + right[1] * right[1] + right[2] * right[2])
         # One cautious step must not leave the region where the linearisation means something.
         share = 1.0 if length <= LARGEST_STD else LARGEST_STD / length
@@ -224,9 +227,9 @@ def linearise(
                 projected += a[i, m] * ue_covariance[m, k]
             for j in range(i + 1):
                 root[i, j] += projected * a[j, k]
-    if not cholesky(root, DIM):
+    if not cholesky(root, len(root)):
         return False
-    forward_columns(root, white, DIM)
+    forward_columns(root, white, len(root))
     for i in range(4):
         for j in range(i + 1):
             entry = 0.0
@@ -275,14 +278,14 @@ def spread_out(
         column = covariance[i]
         for j in range(3):
             column[j] = 1.0 if i == j else 0.0
-        forward(normal, column, 3)
-        backward(normal, column, 3)
+        forward(normal, column, len(column))
+        backward(normal, column, len(column))
     for i in range(3):
         for j in range(i):
             mean = 0.5 * (covariance[i, j] + covariance[j, i])
             covariance[i, j] = mean
             covariance[j, i] = mean
-    forward_columns(root, a, DIM)
+    forward_columns(root, a, len(root))
     for i in range(3):
         for k in range(4):
             gain[i, k] = 0.0
@@ -310,7 +313,9 @@ def laplace(root: FloatArray, normal: FloatArray, used: BoolArray) -> float:
     for i in range(DIM):
         if used[i]:
             dimension += 1
-    volume = (3 - dimension) * LOG_2PI - log_determinant(normal, 3) - log_determinant(root, DIM)
+    unknowns = len(normal) - 1
+    volume = (unknowns - dimension) * LOG_2PI
+    volume -= log_determinant(normal, unknowns) + log_determinant(root, len(root))
     mismatch: float = normal[3, 3]
     return 0.5 * (volume - mismatch)
 

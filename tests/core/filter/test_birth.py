@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal, norm
 
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import DIM, observe, residual
@@ -271,3 +272,98 @@ def test_incidence_points_lie_on_both_rays(name: str) -> None:
 def test_no_path_no_birth() -> None:
     births = fit(np.zeros((0, DIM)))
     assert births.position.shape == (2, 0, 3) and births.log_intensity.shape == (2, 0)
+
+
+def drawn(rng: np.random.Generator, kind: int, place: FloatArray) -> MeasurementSet:
+    """Paths of one landmark with correlated noise of their own, most with a component missing."""
+    std = np.array([0.1, 0.05, 0.05, 0.05, 0.05, 0.1])
+    root = std[:, None] * (np.eye(DIM) + rng.normal(0.0, 0.3, (DIM, DIM)))
+    covariance = root @ root.T
+    # Less noise than is said: Gauss-Newton gets to the end in the steps it has.
+    values = h(STATE.ue_mean, place[None], kind) + 0.3 * rng.normal(size=(8, DIM)) @ root.T
+    values[np.arange(1, 8), rng.integers(0, DIM, 7)] = np.nan
+    return MeasurementSet(values, np.tile(covariance, (8, 1, 1)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", list(CASES))
+def test_the_fit_solves_its_normal_equations(name: str, seed: int) -> None:
+    """The printed matrices at the fitted position, reduced to the components that are there."""
+    kind, place = CASES[name]
+    rng = np.random.default_rng(seed)
+    parameters = FilterParameters()
+    root = np.diag([0.3, 0.3, 0.005, 0.3]) @ rng.normal(size=(4, 4))
+    state = replace(STATE, covariance=root @ root.T + 1e-5 * np.eye(4))
+    state = replace(state, undetected=looked_from(nothing_seen(), np.zeros(2), parameters))
+    observed = prepare(drawn(rng, kind, place), parameters)
+    births = propose(state, observed, SPEED, parameters)
+    fitted = np.flatnonzero(np.isfinite(births.log_intensity[kind]))
+    assert len(fitted) > 3
+    types = np.array([UNKNOWN_TYPES[kind]])
+    prior = np.diag([1e-12, 1e-12, parameters.landmark_height_std**-2])
+    for path in fitted:
+        x = births.position[kind, path]
+        paths = observe(state.ue_mean, SPEED, x[None], types, parameters.bs)
+        used = observed.used[path]
+        a, b = paths.ue_jacobian[0, used], paths.landmark_jacobian[0, used]
+        s = observed.noise[path][np.ix_(used, used)] + a @ state.ue_covariance @ a.T
+        r = residual(observed.values[path], paths.mean[0])[used]
+        information = b.T @ np.linalg.solve(s, b) + prior
+        off = np.array([0.0, 0.0, parameters.landmark_height_mean - x[2]])
+        step = np.linalg.solve(information, b.T @ np.linalg.solve(s, r) + prior @ off)
+        assert step @ information @ step < 1e-4
+        covariance = np.linalg.inv(information)
+        scale = np.abs(covariance).max()
+        np.testing.assert_allclose(births.covariance[kind, path], covariance, atol=1e-7 * scale)
+        gain = -covariance @ b.T @ np.linalg.solve(s, a)
+        np.testing.assert_allclose(births.gain[kind, path], gain, atol=1e-6 * np.abs(gain).max())
+        ray = x - np.append(state.ue_mean[:2], 0.0)
+        reach = float(np.linalg.norm(ray))
+        spread = math.sqrt(ray @ covariance @ ray) / reach
+        away = float(np.linalg.norm(x))  # from where the vehicle has looked before
+        seen, before = (0.9 * norm.cdf((50.0 - d) / spread) for d in (reach, away))
+        if kind == 0:
+            seen, before = 0.9, 0.9
+        expected = (
+            math.log(parameters.undetected_intensity * seen * (1.0 - before))
+            + multivariate_normal(np.zeros(len(r)), s).logpdf(r)
+            - 0.5 * off @ prior @ off
+            + 1.5 * math.log(2.0 * math.pi)
+            - 0.5 * np.linalg.slogdet(information)[1]
+        )
+        assert births.log_intensity[kind, path] == pytest.approx(expected, abs=1e-6)
+
+
+def test_paths_that_cannot_be_fitted_leave_the_others_alone() -> None:
+    values = np.vstack([h(STATE.ue_mean, place[None], kind) for kind, place in CASES.values()])
+    nothing = np.full((1, DIM), np.nan)
+    nothing[0, 5] = 3.0
+    together = fit(np.vstack([values[:1], nothing, values[1:]]))
+    alone = fit(values)
+    np.testing.assert_array_equal(together.log_intensity[:, [0, 2]], alone.log_intensity)
+    np.testing.assert_array_equal(together.position[:, [0, 2]], alone.position)
+    assert (together.log_intensity[:, 1] == -np.inf).all()
+
+
+def test_a_noise_that_is_no_covariance_gives_no_birth_and_no_nan() -> None:
+    values = h(STATE.ue_mean, SP[None], 1)
+    observed = prepare(MeasurementSet(values, np.zeros((1, DIM, DIM))), PARAMETERS)
+    noise = observed.noise.copy()
+    noise[0, 4, 4] = -1.0
+    births = propose(STATE, replace(observed, noise=noise), SPEED, PARAMETERS)
+    assert (births.log_intensity == -np.inf).all()
+    for part in (births.position, births.covariance, births.gain):
+        assert np.isfinite(part).all()
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_a_full_turn_of_an_azimuth_changes_nothing(name: str) -> None:
+    kind, place = CASES[name]
+    values = h(STATE.ue_mean, place[None], kind) + 0.02
+    births = fit(values)
+    for azimuth in ("aoa_azimuth", "aod_azimuth"):
+        turned = values.copy()
+        turned[:, NAMES[azimuth]] -= 2.0 * math.pi
+        same = fit(turned)
+        np.testing.assert_allclose(same.position[kind], births.position[kind], atol=1e-6)
+        np.testing.assert_allclose(same.log_intensity[kind], births.log_intensity[kind], atol=1e-6)

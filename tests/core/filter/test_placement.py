@@ -47,3 +47,27 @@ def test_what_is_heard_of_a_young_landmark_is_a_gaussian_here_and_not_in_xyz() -
     linear = np.linalg.solve(to_position, offset.T).T / std  # as a filter in x, y, z has it
     assert np.mean(linear[:, 0] ** 2) > 20.0
     assert np.mean(((q - mean) / std)[:, 0] ** 2) == pytest.approx(1.0, rel=0.05)
+
+
+def test_what_has_no_direction_is_finite() -> None:
+    origin = np.array([[1.0, 2.0, 3.0]])
+    with np.errstate(all="raise"):
+        axes = frames(np.zeros((1, 3)))
+        np.testing.assert_allclose(axes[0] @ axes[0].T, np.eye(3), atol=1e-15)
+        for place in (origin, origin + axes[:, :, 1], origin - axes[:, :, 0]):
+            q = placements(origin, axes, place)
+            assert np.isfinite(q).all()
+            assert q[0, 0] == pytest.approx(np.linalg.norm(place - origin))
+        assert np.isfinite(jacobians(axes, np.zeros((1, 3)))).all()
+
+
+def test_frames_and_places_of_different_number_are_refused() -> None:
+    axes = np.tile(np.eye(3), (2, 1, 1))
+    with pytest.raises(ValueError, match="'axes' has the shape"):
+        positions(np.zeros((3, 3)), axes, np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="'origin' has the shape"):
+        placements(np.zeros((1, 3)), axes, np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="'axes' has the shape"):
+        jacobians(axes, np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="'offset' has the shape"):
+        frames(np.zeros((2, 2)))

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dopslam_ros.core.kernels.small import backward, cholesky, forward, log_determinant
+from dopslam_ros.core.kernels.small import (
+    backward,
+    cholesky,
+    forward,
+    forward_columns,
+    log_determinant,
+)
 
 
 @pytest.mark.parametrize("n", range(1, 9))
@@ -24,6 +30,10 @@ def test_factor_and_solves_are_those_of_numpy(n: int) -> None:
     np.testing.assert_allclose(expected @ x, b, atol=1e-10)
     backward(lower, x, n)
     np.testing.assert_allclose(a @ x, b, atol=1e-10)
+    columns = rng.normal(size=(n, 4))
+    y = columns.copy()
+    forward_columns(lower, y, n)
+    np.testing.assert_allclose(expected @ y, columns, atol=1e-10)
 
 
 @pytest.mark.parametrize("bad", [-1.0, 0.0, np.nan])
