@@ -85,7 +85,7 @@ def looked_from(undetected: Undetected, ue: FloatArray, model: ModelParameters) 
     """One more snapshot, taken from ``ue`` (2,) [m]."""
     view = model.sp_field_of_view
     viewpoints, looks = undetected.viewpoints, undetected.viewpoint_looks
-    nearest, distance, farthest = kernel.nearest_viewpoint(viewpoints, ue[0], ue[1])
+    nearest, distance, farthest = kernels.nearest_viewpoint(viewpoints, ue[0], ue[1])
     if distance < SPACING * view:
         looks = looks.copy()
         looks[nearest] += 1
