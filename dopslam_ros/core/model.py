@@ -104,6 +104,12 @@ class ModelParameters:
         return np.isfinite(self.measurement_noise_std)
 
     @cached_property
+    def clutter_log_spans(self) -> FloatArray:
+        """(6,) ln of the sides of the box in which clutter is uniform."""
+        box = clutter_box(self)
+        return np.asarray(np.log(box[:, 1] - box[:, 0]))
+
+    @cached_property
     def noise_rate(self) -> FloatArray:
         """(4,) variance that the process noise adds per second."""
         return np.square(self.process_noise_std) / self.process_noise_period
@@ -195,10 +201,8 @@ def log_clutter_intensity(model: ModelParameters, measured: BoolArray) -> FloatA
     Returns:
         (J,); -inf without clutter.
     """
-    box = clutter_box(model)
-    spans = np.log(box[:, 1] - box[:, 0])
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(model.clutter_mean) - measured @ spans)
+    log_mean = math.log(model.clutter_mean) if model.clutter_mean > 0.0 else -math.inf
+    return np.asarray(log_mean - measured @ model.clutter_log_spans)
 
 
 def component_names(used: BoolArray) -> list[str]:

@@ -20,6 +20,7 @@ from dopslam_ros.core.model import ModelParameters
 SPACING = 0.1
 # More than any field of view needs; the oldest go first.
 MOST_VIEWPOINTS = 400
+_ONE = np.ones(1, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -95,4 +96,8 @@ def looked_from(undetected: Undetected, ue: FloatArray, model: ModelParameters) 
         away = np.linalg.norm(viewpoints - ue, axis=1)
         near = np.flatnonzero(away <= 2.0 * view)[-MOST_VIEWPOINTS:]
         viewpoints, looks = viewpoints[near], looks[near]
-    return Undetected(undetected.looks + 1, np.vstack([viewpoints, ue]), np.append(looks, 1))
+    return Undetected(
+        undetected.looks + 1,
+        np.concatenate((viewpoints, ue[None])),
+        np.concatenate((looks, _ONE)),
+    )

@@ -137,6 +137,9 @@ def augment(
         parameters: pruning of types.
     """
     paths = len(numbered)
+    if not numbered.any():
+        alone = replace(state, mean=means[0], covariance=covariances[0])
+        return Augmented(alone, means, covariances, np.full(paths, UNASSIGNED))
     path, kind = np.empty((2, 2 * paths), np.int64)
     share = np.empty(2 * paths)
     count = kernels.select_births(
@@ -145,7 +148,9 @@ def augment(
     path, kind, share = path[:count], kind[:count], share[:count]
     which = np.cumsum(born.kept) - 1  # number of each path's birth
     tracks = len(state.track_id)
-    origin = np.tile(np.append(state.ue_mean[:2], parameters.ue_height), (len(path), 1))
+    origin = np.empty((count, 3))
+    origin[:, :2] = state.mean[:2]
+    origin[:, 2] = parameters.ue_height
     axes = placement.frames(births.position[kind, path] - origin)
     more_means, more_covariances = _append(
         state,
