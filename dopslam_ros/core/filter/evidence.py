@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from scipy.stats import chi2
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
+from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.channel import DIM, residual
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
 from dopslam_ros.core.kernels import evidence as kernels
@@ -153,8 +153,3 @@ def gaussian_terms(covariance: FloatArray, vector: FloatArray) -> tuple[FloatArr
     white = np.linalg.solve(factor, vector[..., None])[..., 0]
     diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
     return np.sum(white**2, axis=-1), 2.0 * np.sum(np.log(diagonal), axis=-1)
-
-
-def source_tracks(state: FilterState) -> IntArray:
-    """(C + 1,) the row of the association problem each source belongs to: 0 the BS, then tracks."""
-    return np.concatenate([[0], state.component_track + 1]).astype(np.int64)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
+from dopslam_ros.core.assignment import k_best_assignments
 from dopslam_ros.core.filter.birth import Births
-from dopslam_ros.core.filter.evidence import Evidence, Observed, source_tracks
+from dopslam_ros.core.filter.evidence import Evidence, Observed
 from dopslam_ros.core.filter.state import FilterParameters, FilterState
 from dopslam_ros.core.kernels import hypotheses as kernels
 from dopslam_ros.core.model import log_clutter_intensity
@@ -18,7 +19,8 @@ from dopslam_ros.core.model import log_clutter_intensity
 SMALLEST_SHARE = 1e-3
 # At most this many landmarks of open type split an association: 2^4 combinations.
 MOST_SPLITS = 4
-# ln of a weight that is as good as zero but can still be compared.
+# ln of a weight that is as good as zero but can still be compared: what cannot be missed, or what
+# nothing explains, must still go somewhere.
 LOG_TINY = -700.0
 
 
@@ -68,15 +70,13 @@ def local_weights(
     """Weights of every path-landmark pair, of misdetections and of new landmarks."""
     return LocalWeights(
         *kernels.weigh_locally(
-            source_tracks(state),
+            np.ascontiguousarray(state.component_track),
             np.ascontiguousarray(state.component_weight),
             np.ascontiguousarray(state.existence),
             np.ascontiguousarray(evidence.detection),
             np.ascontiguousarray(evidence.log_likelihood),
             log_clutter_intensity(parameters, observed.used),
             np.ascontiguousarray(births.log_intensity),
-            # A landmark that cannot be missed, or a path that nothing explains, must still go
-            # somewhere.
             LOG_TINY,
         )
     )
@@ -89,15 +89,16 @@ def associate(
 
     The cost of giving path j to track i is -ln(w_ij / w_i0), to a new track -ln w_new,j.
     """
-    return Hypotheses(
-        *kernels.associate(
-            source_tracks(state),
-            np.ascontiguousarray(weights.source),
-            np.ascontiguousarray(weights.track),
-            np.ascontiguousarray(weights.missed),
-            np.ascontiguousarray(weights.new),
-            parameters.gamma,
-            -math.log(SMALLEST_SHARE),
-            MOST_SPLITS,
-        )
+    cost = weights.missed - weights.track.T
+    ranked = k_best_assignments(cost, -weights.new, parameters.gamma)
+    track, source, weight, log_sum = kernels.split_by_type(
+        ranked.columns,
+        ranked.costs,
+        np.ascontiguousarray(state.component_track),
+        np.ascontiguousarray(weights.source),
+        np.ascontiguousarray(weights.track),
+        parameters.gamma,
+        -math.log(SMALLEST_SHARE),
+        MOST_SPLITS,
     )
+    return Hypotheses(track, source, weight, log_sum + float(weights.missed.sum()))

@@ -249,11 +249,11 @@ def rank_cluster(
     for row in range(rows):
         possible = min(possible * (problem.start[row + 1] - problem.start[row]), float(k))
     size = int(possible)
-    ints = np.empty((5, columns + 1), np.int64)
+    ints = np.empty((3, columns + 1), np.int64)
     solution = Solution(
         np.full(rows, OPEN), np.full(columns + 1, FREE), np.empty(rows), np.zeros(columns + 1)
     )
-    search = Search(np.empty(columns + 1), ints[0], ints[1], ints[2], ints[3])
+    search = Search(np.empty(columns + 1), ints[0], ints[1], ints[2], np.zeros(1, np.int64))
     ranking = Ranking(
         np.zeros(1, np.int64),
         np.empty(size),

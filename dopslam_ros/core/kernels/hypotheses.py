@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
-from dopslam_ros.core.kernels.assignment import insert, k_best
+from dopslam_ros.core.kernels.assignment import insert
 from dopslam_ros.core.kernels.compiled import compiled
 from dopslam_ros.core.kernels.matching import FREE
 
@@ -28,7 +28,7 @@ def log_of(value: float, least: float) -> float:
 
 @compiled
 def weigh_locally(
-    tracks: IntArray,
+    component_track: IntArray,
     type_weight: FloatArray,
     existence: FloatArray,
     detection: FloatArray,
@@ -40,7 +40,7 @@ def weigh_locally(
     """Local weights, eqs. (22)-(24) of Ge et al. 2022; the BS exists and is of one type.
 
     Args:
-        tracks: (C + 1,) of the sources, 0 the BS.
+        component_track: (C,) track of each component.
         type_weight: (C,) probabilities of the components' types.
         existence: (T,) of the tracks.
         detection: (C + 1,) p_D.
@@ -59,8 +59,10 @@ def weigh_locally(
         for j in range(paths):
             track[t, j] = -math.inf
     for s in range(sources):
-        t = tracks[s]
-        exists, share = (existence[t - 1], type_weight[s - 1]) if s > 0 else (1.0, 1.0)
+        t, exists, share = 0, 1.0, 1.0
+        if s > 0:
+            t = component_track[s - 1] + 1
+            exists, share = existence[t - 1], type_weight[s - 1]
         missed[t] += share * (1.0 - detection[s])
         prior = log_of(exists * share * detection[s], -math.inf)
         for j in range(paths):
@@ -180,42 +182,56 @@ def keep_best(association: int, cost: float, choices: Choices, kept: Kept) -> No
 
 
 @compiled
-def associate(
-    tracks: IntArray,
+def normalised(columns: IntArray, kept: Kept) -> tuple[IntArray, IntArray, FloatArray, float]:
+    """The hypotheses kept of associations (A, J), as ``split_by_type`` returns them."""
+    count, paths = kept.found[0], columns.shape[1]
+    track, source = np.empty((count, paths), np.int64), np.empty((count, paths), np.int64)
+    weight = np.empty(count)
+    total = 0.0
+    for h in range(count):
+        at = kept.ticket[h]
+        for j in range(paths):
+            track[h, j] = columns[kept.association[at], j]
+            source[h, j] = kept.source[at, j]
+        weight[h] = math.exp(kept.cost[0] - kept.cost[h])
+        total += weight[h]
+    for h in range(count):
+        weight[h] /= total
+    return track, source, weight, math.log(total) - kept.cost[0] if count > 0 else -math.inf
+
+
+@compiled
+def split_by_type(
+    columns: IntArray,
+    costs: FloatArray,
+    component_track: IntArray,
     source: FloatArray,
     track: FloatArray,
-    missed: FloatArray,
-    new: FloatArray,
     gamma: int,
     most_cost: float,
     splits: int,
 ) -> tuple[IntArray, IntArray, FloatArray, float]:
-    """The gamma best hypotheses.
+    """The gamma best hypotheses: associations, each as often as its landmarks may differ in type.
 
     Args:
-        tracks: (C + 1,) of the sources, ascending from 0, the BS.
-        source: (C + 1, J) as in LocalWeights, like the following.
-        track: (T + 1, J).
-        missed: (T + 1,).
-        new: (J,).
+        columns: (A, J) the track of each path in each association, 0 the BS, or FREE.
+        costs: (A,) -ln of their weights, ascending.
+        component_track: (C,) track of each component, ascending.
+        source: (C + 1, J) as in LocalWeights.
+        track: (T + 1, J) as in LocalWeights.
         gamma: how many at most.
         most_cost: -ln of the smallest share of a source in its track.
         splits: most paths of an association that split by source.
 
     Returns:
-        The fields of Hypotheses.
+        (H, J) tracks, (H, J) sources and (H,) normalised weights of the hypotheses, and ln of the
+        sum of the weights before.
     """
     rows, paths = track.shape
-    cost, idle = np.empty((paths, rows)), np.empty(paths)
-    for j in range(paths):
-        idle[j] = -new[j]
-        for t in range(rows):
-            cost[j, t] = missed[t] - track[t, j]
-    columns, costs = k_best(cost, idle, gamma)
-
     first = np.zeros(rows + 1, np.int64)
-    for s in range(len(tracks)):
-        first[tracks[s] + 1] += 1
+    first[1] = 1  # the BS
+    for c in range(len(component_track)):
+        first[component_track[c] + 2] += 1
     most = 1
     for t in range(rows):
         most = max(most, first[t + 1])
@@ -235,30 +251,4 @@ def associate(
             break  # splitting only makes it less likely
         choose(columns[a], source, track, first, most_cost, splits, choices)
         keep_best(a, costs[a], choices, kept)
-    return normalised(columns, missed, kept)
-
-
-@compiled
-def normalised(
-    columns: IntArray, missed: FloatArray, kept: Kept
-) -> tuple[IntArray, IntArray, FloatArray, float]:
-    """The fields of Hypotheses from those kept of associations (A, J)."""
-    count, paths = kept.found[0], columns.shape[1]
-    track, source = np.empty((count, paths), np.int64), np.empty((count, paths), np.int64)
-    weight = np.empty(count)
-    total = 0.0
-    for h in range(count):
-        at = kept.ticket[h]
-        for j in range(paths):
-            track[h, j] = columns[kept.association[at], j]
-            source[h, j] = kept.source[at, j]
-        weight[h] = math.exp(kept.cost[0] - kept.cost[h])
-        total += weight[h]
-    log_evidence = -math.inf
-    if count > 0:
-        log_evidence = math.log(total) - kept.cost[0]
-    for h in range(count):
-        weight[h] /= total
-    for t in range(len(missed)):
-        log_evidence += missed[t]
-    return track, source, weight, log_evidence
+    return normalised(columns, kept)

@@ -12,7 +12,10 @@ import pytest
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.filter.hypotheses import LocalWeights, associate
+from dopslam_ros.core.filter.birth import Births
+from dopslam_ros.core.filter.evidence import Evidence, prepare
+from dopslam_ros.core.filter.hypotheses import LOG_TINY, LocalWeights, associate, local_weights
+from dopslam_ros.core.measurements import MeasurementSet
 
 PARAMETERS = FilterParameters(gamma=1000)
 
@@ -106,6 +109,87 @@ def test_no_more_than_gamma_are_kept_and_those_are_the_best(gamma: int) -> None:
     assert len(few.weight) == kept
     np.testing.assert_array_equal(few.track, many.track[:kept])
     np.testing.assert_allclose(few.weight, many.weight[:kept] / many.weight[:kept].sum())
+
+
+@pytest.mark.parametrize("gamma", [1, 2, 5, 12, 40])
+def test_of_the_best_associations_the_likeliest_types_are_kept(gamma: int) -> None:
+    for seed in range(10):
+        weights = weights_of(np.random.default_rng(seed), [2, 2, 1], 3)
+        few = associate(state_of([2, 2, 1]), weights, replace(PARAMETERS, gamma=gamma))
+        many = associate(state_of([2, 2, 1]), weights, PARAMETERS)
+        truth = every_association(weights)
+        best = set(sorted(truth, key=lambda choice: -truth[choice])[:gamma])
+        split = [h for h, track in enumerate(many.track.tolist()) if tuple(track) in best][:gamma]
+        np.testing.assert_array_equal(few.source, many.source[split])
+        np.testing.assert_array_equal(few.track, many.track[split])
+        share = many.weight[split].sum()
+        np.testing.assert_allclose(few.weight, many.weight[split] / share)
+        assert few.log_evidence == pytest.approx(many.log_evidence + math.log(share))
+
+
+def open_types(shares: list[float]) -> tuple[FilterState, LocalWeights]:
+    """As many tracks as paths, path j surely from track j, whose second type has a given share."""
+    count = len(shares)
+    source = np.full((2 * count + 1, count), -np.inf)
+    for path, share in enumerate(shares):
+        source[2 * path + 1 : 2 * path + 3, path] = np.log([1.0 - share, share])
+    track = np.full((count + 1, count), -np.inf)
+    np.fill_diagonal(track[1:], 0.0)
+    impossible = np.full(count, -100.0)
+    return state_of([2] * count), LocalWeights(source, track, np.zeros(count + 1), impossible)
+
+
+def test_the_least_clear_types_split_and_the_others_are_the_likeliest() -> None:
+    shares = [0.01, 0.4, 0.3, 0.02, 0.45, 0.2]
+    state, weights = open_types(shares)
+    ranked = associate(state, weights, replace(PARAMETERS, gamma=16))
+    second = ranked.source - 2 * np.arange(6) - 1
+    assert set(second.ravel().tolist()) == {0, 1}
+    np.testing.assert_array_equal(second.any(axis=0), [False, True, True, False, True, True])
+    assert len(np.unique(second, axis=0)) == 16
+    expected = np.prod(np.where(second[:, [1, 2, 4, 5]], [0.4, 0.3, 0.45, 0.2], 1.0), axis=1)
+    expected *= np.prod(np.where(second[:, [1, 2, 4, 5]], 1.0, [0.6, 0.7, 0.55, 0.8]), axis=1)
+    np.testing.assert_allclose(ranked.weight, np.sort(expected)[::-1])
+    np.testing.assert_allclose(ranked.weight, expected)
+
+
+def test_a_type_with_next_to_no_share_gets_no_hypothesis() -> None:
+    state, weights = open_types([0.9e-3, 1.1e-3])
+    ranked = associate(state, weights, replace(PARAMETERS, gamma=4))
+    paths_given = ranked.source[(ranked.track == [1, 2]).all(axis=1)]
+    np.testing.assert_array_equal(paths_given, [[1, 3], [1, 4]])
+
+
+def test_local_weights_of_what_is_sure_or_impossible() -> None:
+    state = replace(
+        state_of([1, 2, 1]),
+        existence=np.array([0.0, 1.0, 0.5]),
+        component_weight=np.array([1.0, 1.0, 0.0, 1.0]),
+    )
+    paths = MeasurementSet(np.zeros((2, 6)), np.zeros((2, 6, 6)))
+    observed = prepare(paths, replace(PARAMETERS, clutter_mean=0.0))
+    log_likelihood = np.array([[0.0, -np.inf]] * 5)
+    fit = Evidence(
+        np.zeros((5, 6, 4)),
+        np.zeros((5, 6, 3)),
+        np.array([1.0, 0.9, 1.0, 0.9, 0.0]),
+        np.zeros((5, 2, 6)),
+        log_likelihood,
+    )
+    none = Births(
+        np.zeros((2, 2, 3)),
+        np.zeros((2, 2, 3, 3)),
+        np.zeros((2, 2, 3, 4)),
+        np.full((2, 2), -np.inf),
+    )
+    weights = local_weights(state, observed, fit, none, replace(PARAMETERS, clutter_mean=0.0))
+    np.testing.assert_array_equal(weights.missed, [LOG_TINY, 0.0, LOG_TINY, 0.0])
+    np.testing.assert_array_equal(weights.new, [LOG_TINY, LOG_TINY])
+    np.testing.assert_array_equal(weights.source[:, 0], [0.0, -np.inf, 0.0, -np.inf, -np.inf])
+    np.testing.assert_array_equal(weights.track[:, 0], [0.0, -np.inf, 0.0, -np.inf])
+    assert np.all(weights.source[:, 1] == -np.inf) and np.all(weights.track[:, 1] == -np.inf)
+    ranked = associate(state, weights, PARAMETERS)
+    assert np.isfinite(ranked.weight).all() and ranked.weight.sum() == pytest.approx(1.0)
 
 
 def test_no_paths_is_one_hypothesis() -> None:
