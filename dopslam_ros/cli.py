@@ -17,6 +17,7 @@ from tqdm import tqdm
 from dopslam_ros import __version__
 from dopslam_ros.bag import BagError, BagReader, BagWriter
 from dopslam_ros.bag.repair import repair
+from dopslam_ros.bench import command as bench
 from dopslam_ros.core.evaluation import StepRecord, summarise
 from dopslam_ros.core.model import with_doppler_std
 from dopslam_ros.core.parameters import ParameterError, commented_yaml, shared_values
@@ -47,6 +48,7 @@ EXAMPLES = {
     "bounds": "dopslam bounds --sigma-d 0.1 0.5",
     "study": "dopslam study --filters joint marginal --doppler 0.1 none --out runs/study",
     "figures": "dopslam figures runs/study --out runs/figures",
+    "bench": "dopslam bench --json bench.json --markdown BENCHMARKS.md",
     "parameters": "dopslam parameters filter > config/filter.yaml",
     "recover": "dopslam recover runs/cut_off runs/whole",
 }
@@ -131,6 +133,9 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("figures", _figures, "draw a study beside the paper's figures, with their ratios")
     sub.add_argument("study", type=Path, help="folder of a study")
     sub.add_argument("--out", type=Path, required=True, help="folder of the pictures and tables")
+
+    sub = command("bench", bench.run, "measure speed and memory, beside what they compare with")
+    bench.add_arguments(sub)
 
     sub = command("parameters", _parameters, "the parameters of a node as a commented YAML file")
     sub.add_argument("node", choices=sorted(_NODES), help="which node")

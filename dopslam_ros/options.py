@@ -70,7 +70,7 @@ def read_settings(options: Any) -> dict[str, Any]:
 
 def check_files(options: Any) -> None:
     """Files that cannot be written are told before the work is done, not after."""
-    for option in ("json", "picture"):
+    for option in ("json", "picture", "markdown"):
         path: Path | None = getattr(options, option, None)
         if path is not None and (not path.parent.is_dir() or path.is_dir()):
             raise UsageError(f"--{option} {path}: give a file in a folder that exists")

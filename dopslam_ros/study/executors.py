@@ -45,7 +45,7 @@ def run_local(plan: Plan, tasks: Sequence[Task], workers: int | None) -> Iterato
     one = partial(execute, plan, software())
     workers = min(workers or len(os.sched_getaffinity(0)), len(tasks))
     if workers <= 1:
-        with _one_blas_thread():
+        with one_blas_thread():
             yield from map(one, tasks)
         return
     pool = ProcessPoolExecutor(workers, initializer=_begin_worker)
@@ -63,7 +63,7 @@ def run_local(plan: Plan, tasks: Sequence[Task], workers: int | None) -> Iterato
 def _begin_worker() -> None:
     """Ctrl-C is for the main process alone, which gives up what has not begun."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _one_blas_thread()
+    one_blas_thread()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -144,11 +144,11 @@ def _outcome(future: Any, task: Task, address: str) -> Outcome:
 
 
 def _execute_on_dask(plan: Plan, versions: dict[str, str], task: Task) -> Outcome:
-    _one_blas_thread()
+    one_blas_thread()
     return execute(plan, versions, task)
 
 
-def _one_blas_thread() -> contextlib.AbstractContextManager[object]:
+def one_blas_thread() -> contextlib.AbstractContextManager[object]:
     """Keeps BLAS to one thread, until the end of the context it returns or for good."""
     try:
         from threadpoolctl import threadpool_limits
