@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -31,6 +31,13 @@ from dopslam_ros.processes import isolated_environment, node_command, running
 RATE = 100.0
 # What nodes log when they are.
 READY = b"ready"
+# The least that a node in Python can be.
+BARE_NODE = (
+    sys.executable,
+    "-c",
+    "import rclpy; rclpy.init(); node = rclpy.create_node('bare');"
+    " node.get_logger().info('ready'); rclpy.spin(node)",
+)
 PATIENCE = 120.0
 
 
@@ -110,7 +117,7 @@ def ready(quick: bool) -> Measured:
             compiled = {"NUMBA_CACHE_DIR": str(folder / "kernels")}
             cold.append(_seconds_to_ready(command, folder, compiled))
             warm.append(_seconds_to_ready(command, folder, compiled))
-            bare.append(_seconds_to_ready(role("relay"), folder, {}))
+            bare.append(_seconds_to_ready(BARE_NODE, folder, {}))
     figures = (
         figure("ready, kernels in the cache", "s", warm),
         figure("ready, kernels to be compiled", "s", cold),
@@ -164,7 +171,7 @@ def _exchange(
     return Exchange(latencies, lost, (after - before) / (len(latencies) + lost))
 
 
-def _seconds_to_ready(command: list[str], folder: Path, variables: Mapping[str, str]) -> float:
+def _seconds_to_ready(command: Sequence[str], folder: Path, variables: Mapping[str, str]) -> float:
     log = folder / "ready.log"
     started = time.perf_counter()
     with running(command, log, {**isolated_environment(), **variables}) as process:
