@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,6 +31,8 @@ from dopslam_ros.messages import (
 
 # The ellipsoids that are drawn hold the landmark with this probability.
 ELLIPSOID_PROBABILITY = 0.95
+_STDS = math.sqrt(float(chi2.ppf(ELLIPSOID_PROBABILITY, 3)))
+_UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 COLOURS = {
     LandmarkType.BS: (0.1, 0.1, 0.1),
     LandmarkType.VA: (0.0, 0.45, 0.7),
@@ -76,12 +79,24 @@ class FilterMessages:
         self._poses: list[Any] = []
         self._sent: dict[str, int] = {}
         self._shown: set[tuple[str, int]] = set()
+        # What every marker has and none uses.
+        types = self.types
+        self._unused = {
+            "lifetime": types("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
+            "texture": types("sensor_msgs/msg/CompressedImage")(
+                header=make_header(types, 0, ""), format="", data=np.zeros(0, np.uint8)
+            ),
+            "mesh_file": types("visualization_msgs/msg/MeshFile")(
+                filename="", data=np.zeros(0, np.uint8)
+            ),
+        }
 
-    def of(self, output: FilterOutput) -> list[tuple[topics.Topic, Any]]:
+    def of(self, output: FilterOutput) -> Iterator[tuple[topics.Topic, Any]]:
         """The messages of one output, in the order in which they are to be sent.
 
-        Path and markers come with some outputs only, chosen by their times, so that a replay
-        chooses the same.
+        The vehicle comes first, so that it can be on its way before the map is worked out. Path and
+        markers come with some outputs only, chosen by their times, so that a replay chooses the
+        same.
         """
         types, frames, time_ns = self.types, self.frames, output.stamp_ns
         mean, covariance = output.state.ue_mean, output.state.ue_covariance
@@ -89,6 +104,10 @@ class FilterMessages:
         pose = self._pose(mean)
         with_covariance = types("geometry_msgs/msg/PoseWithCovariance")(
             pose=pose, covariance=_pose_covariance(covariance)
+        )
+        yield (
+            topics.UE_POSE,
+            types(topics.UE_POSE.type_name)(header=header, pose=with_covariance),
         )
         odometry = types(topics.ODOMETRY.type_name)(
             header=header,
@@ -98,24 +117,16 @@ class FilterMessages:
                 twist=make_twist(types, output.control), covariance=np.zeros(36)
             ),
         )
-        messages = [
-            (topics.UE_STATE, make_ue_state(types, time_ns, mean, covariance, frames)),
-            (
-                topics.UE_POSE,
-                types(topics.UE_POSE.type_name)(header=header, pose=with_covariance),
-            ),
-            (topics.ODOMETRY, odometry),
-            (topics.LANDMARKS, make_map(types, time_ns, output.landmarks, self.bs, frames)),
-        ]
+        yield topics.UE_STATE, make_ue_state(types, time_ns, mean, covariance, frames)
+        yield topics.ODOMETRY, odometry
+        yield topics.LANDMARKS, make_map(types, time_ns, output.landmarks, self.bs, frames)
         if self._due(topics.PATH, time_ns, self.drawing.path_period):
             self._poses.append(types("geometry_msgs/msg/PoseStamped")(header=header, pose=pose))
             del self._poses[: -self.drawing.path_poses]
             path = types(topics.PATH.type_name)(header=header, poses=list(self._poses))
-            messages.append((topics.PATH, path))
+            yield topics.PATH, path
         if self._due(topics.LANDMARK_MARKERS, time_ns, self.drawing.markers_period):
-            markers = self._markers(time_ns, output.landmarks)
-            messages.append((topics.LANDMARK_MARKERS, markers))
-        return messages
+            yield topics.LANDMARK_MARKERS, self._markers(time_ns, output.landmarks)
 
     def _due(self, topic: topics.Topic, time_ns: int, period: float) -> bool:
         """Whether the last one is long enough ago."""
@@ -129,34 +140,36 @@ class FilterMessages:
         x, y, heading, _ = (float(v) for v in mean)
         return self.types("geometry_msgs/msg/Pose")(
             position=make_point(self.types, (x, y, self.ue_height)),
-            orientation=make_quaternion(self.types, Rotation.from_euler("z", heading)),
+            orientation=make_quaternion(
+                self.types, (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
+            ),
         )
 
     def _markers(self, time_ns: int, landmarks: LandmarkEstimates) -> Any:
         """A solid body and an ellipsoid per landmark; DELETE for what is gone."""
-        kinds = [LandmarkType.BS, *(LandmarkType(int(k)) for k in landmarks.types)]
-        ids = [BS_ID, *landmarks.ids.tolist()]
-        positions = np.vstack([self.bs, landmarks.positions])
-        shown: set[tuple[str, int]] = set()
-        markers = []
-        for number, (kind, landmark) in enumerate(zip(kinds, ids, strict=True)):
-            key = (kind.name, landmark)
-            shown.add(key)
-            existence = 1.0 if number == 0 else float(landmarks.existence[number - 1])
-            markers.append(self._body(time_ns, kind, key, positions[number], existence))
-            if kind != LandmarkType.BS:
-                key = (f"{kind.name}_ellipsoid", landmark)
-                shown.add(key)
-                covariance = landmarks.covariances[number - 1]
-                markers.append(self._ellipsoid(time_ns, kind, key, positions[number], covariance))
+        header = make_header(self.types, time_ns, self.frames.map)
+        sizes, rotations = _ellipsoids(landmarks.covariances)
+        key = (LandmarkType.BS.name, BS_ID)
+        markers = [self._body(header, LandmarkType.BS, key, self.bs, 1.0)]
+        shown = {key}
+        for number, landmark in enumerate(landmarks.ids.tolist()):
+            kind = LandmarkType(int(landmarks.types[number]))
+            body, ellipsoid = (kind.name, landmark), (f"{kind.name}_ellipsoid", landmark)
+            shown |= {body, ellipsoid}
+            position, existence = landmarks.positions[number], float(landmarks.existence[number])
+            size, rotation, colour = sizes[number], rotations[number], (*COLOURS[kind], 0.25)
+            markers += [
+                self._body(header, kind, body, position, existence),
+                self._marker(header, ellipsoid, 2, position, size, colour, rotation),
+            ]
         gone = sorted(self._shown - shown)
         self._shown = shown
-        markers += [self._marker(time_ns, key, action=2) for key in gone]
+        markers += [self._marker(header, key, action=2) for key in gone]
         return self.types(topics.LANDMARK_MARKERS.type_name)(markers=markers)
 
     def _body(
         self,
-        time_ns: int,
+        header: Any,
         kind: LandmarkType,
         key: tuple[str, int],
         position: FloatArray,
@@ -165,68 +178,55 @@ class FilterMessages:
         size = {LandmarkType.BS: 4.0, LandmarkType.VA: 3.0, LandmarkType.SP: 2.0}[kind]
         shape = 3 if kind == LandmarkType.BS else 1 if kind == LandmarkType.VA else 2
         return self._marker(
-            time_ns, key, shape, position, (size, size, size), (*COLOURS[kind], existence)
-        )
-
-    def _ellipsoid(
-        self,
-        time_ns: int,
-        kind: LandmarkType,
-        key: tuple[str, int],
-        position: FloatArray,
-        covariance: FloatArray,
-    ) -> Any:
-        variances, axes = np.linalg.eigh(covariance)
-        if np.linalg.det(axes) < 0.0:
-            axes = -axes
-        radius = np.sqrt(np.maximum(variances, 0.0) * chi2.ppf(ELLIPSOID_PROBABILITY, 3))
-        size = np.maximum(2.0 * radius, 1e-3)
-        return self._marker(
-            time_ns, key, 2, position, size, (*COLOURS[kind], 0.25), Rotation.from_matrix(axes)
+            header, key, shape, position, (size, size, size), (*COLOURS[kind], existence)
         )
 
     def _marker(
         self,
-        time_ns: int,
+        header: Any,
         key: tuple[str, int],
         shape: int = 2,
         position: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
         size: Sequence[float] | FloatArray = (1.0, 1.0, 1.0),
         colour: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-        rotation: Rotation | None = None,
+        rotation: Sequence[float] | FloatArray = _UPRIGHT,
         action: int = 0,
     ) -> Any:
         types = self.types
         x, y, z = (float(v) for v in size)
         r, g, b, a = (float(v) for v in colour)
         return types("visualization_msgs/msg/Marker")(
-            header=make_header(types, time_ns, self.frames.map),
+            header=header,
             ns=key[0],
             id=key[1],
             type=shape,
             action=action,
             pose=types("geometry_msgs/msg/Pose")(
                 position=make_point(types, position),
-                orientation=make_quaternion(types, rotation or Rotation.identity()),
+                orientation=make_quaternion(types, rotation),
             ),
             scale=types("geometry_msgs/msg/Vector3")(x=x, y=y, z=z),
             color=types("std_msgs/msg/ColorRGBA")(r=r, g=g, b=b, a=a),
-            lifetime=types("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
             frame_locked=False,
             points=[],
             colors=[],
             texture_resource="",
-            texture=types("sensor_msgs/msg/CompressedImage")(
-                header=make_header(types, 0, ""), format="", data=np.zeros(0, np.uint8)
-            ),
             uv_coordinates=[],
             text="",
             mesh_resource="",
-            mesh_file=types("visualization_msgs/msg/MeshFile")(
-                filename="", data=np.zeros(0, np.uint8)
-            ),
             mesh_use_embedded_materials=False,
+            **self._unused,
         )
+
+
+def _ellipsoids(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(L, 3) diameters [m] and (L, 4) quaternions of the regions of ELLIPSOID_PROBABILITY."""
+    if not len(covariances):
+        return np.zeros((0, 3)), np.zeros((0, 4))
+    variances, axes = np.linalg.eigh(covariances)
+    axes = axes * np.sign(np.linalg.det(axes))[:, None, None]
+    size = 2.0 * _STDS * np.sqrt(np.maximum(variances, 0.0))
+    return np.maximum(size, 1e-3), Rotation.from_matrix(axes).as_quat()
 
 
 def _pose_covariance(covariance: FloatArray) -> FloatArray:

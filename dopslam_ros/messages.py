@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dopslam_ros import topics
 from dopslam_ros.bag import BagTypeError, deserialize
@@ -306,9 +305,9 @@ def make_point(types: Types, position: Sequence[float] | FloatArray) -> Any:
     return types("geometry_msgs/msg/Point")(x=x, y=y, z=z)
 
 
-def make_quaternion(types: Types, rotation: Rotation) -> Any:
-    """geometry_msgs/Quaternion."""
-    x, y, z, w = (float(v) for v in rotation.as_quat())
+def make_quaternion(types: Types, quaternion: Sequence[float] | FloatArray) -> Any:
+    """geometry_msgs/Quaternion from (4,) x, y, z, w."""
+    x, y, z, w = (float(v) for v in quaternion)
     return types("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
 from dopslam_ros.core.channel import DIM, DOPPLER, Paths
+from dopslam_ros.core.kernels import bounds as kernels
 from dopslam_ros.core.model import ModelParameters
 from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
 
@@ -106,28 +107,30 @@ def update_bound(
 
     Returns:
         The state with the landmarks newly seen appended.
+
+    Raises:
+        LinAlgError: R is not positive definite.
     """
     seen = (weights > 0.0) & ~paths.degenerate
     ids, is_bs, weights = ids[seen], is_bs[seen], weights[seen]
     state = _with_landmarks(state, ids[~is_bs])
     if not seen.any():
         return state
-    used = np.broadcast_to(used, (len(seen), DIM))[seen]
-    # What is not measured has no Jacobian and unit variance, and so no information.
-    a = paths.ue_jacobian[seen] * used[:, :, None]
-    b = paths.landmark_jacobian[seen] * used[:, :, None]
-    both = used[:, :, None] & used[:, None, :]
-    r = np.where(both, np.broadcast_to(noise, (len(seen), DIM, DIM))[seen], np.eye(DIM))
-
-    rows = np.zeros((len(ids), DIM, len(state.covariance)))
-    rows[:, :, :4] = a
     block = {landmark: number for number, landmark in enumerate(state.ids.tolist())}
-    for row in np.flatnonzero(~is_bs):
-        start = 4 + 3 * block[int(ids[row])]
-        rows[row, :, start : start + 3] = b[row]
-    weighted = weights[:, None, None] * np.linalg.solve(r, rows)
-    n = len(state.covariance)
-    data = rows.reshape(-1, n).T @ weighted.reshape(-1, n)
+    start = np.array(
+        [-1 if bs else 4 + 3 * block[i] for i, bs in zip(ids.tolist(), is_bs.tolist(), strict=True)]
+    )
+    data = np.zeros_like(state.covariance)
+    if not kernels.gather(
+        np.ascontiguousarray(paths.ue_jacobian[seen]),
+        np.ascontiguousarray(paths.landmark_jacobian[seen]),
+        np.ascontiguousarray(np.broadcast_to(used, (len(seen), DIM))[seen]),
+        np.ascontiguousarray(np.broadcast_to(noise, (len(seen), DIM, DIM))[seen]),
+        weights,
+        start,
+        data,
+    ):
+        raise np.linalg.LinAlgError("the measurement noise is not positive definite")
     return BoundState(_add_information(state.covariance, data), state.ids)
 
 
@@ -168,7 +171,8 @@ def information_split(paths: Paths, model: ModelParameters) -> InformationSplit:
 
 def _with_landmarks(state: BoundState, ids: IntArray) -> BoundState:
     """Appends the landmarks that are not in the state yet, with a diffuse prior."""
-    new = ids[~np.isin(ids, state.ids)]
+    known = set(state.ids.tolist())
+    new = np.array([i for i in ids.tolist() if i not in known], dtype=np.int64)
     if not len(new):
         return state
     old = len(state.covariance)
