@@ -45,15 +45,14 @@ class DrawingParameters:
     """How often and how long what is only drawn is sent: it grows, and eyes are slow."""
 
     path_poses: int = parameter(1000, "Most poses that the path keeps.", low=1, high=1_000_000)
+    path_spacing: float = parameter(
+        0.5, "Least time between two poses of the path.", unit="s", low=0.0, high=3600.0
+    )
     path_period: float = parameter(
-        0.5,
-        "Least time between two poses of the path, and between two paths.",
-        unit="s",
-        low=0.0,
-        high=3600.0,
+        2.0, "Least time between two paths.", unit="s", low=0.0, high=3600.0
     )
     markers_period: float = parameter(
-        0.2, "Least time between two arrays of markers.", unit="s", low=0.0, high=3600.0
+        1.0, "Least time between two arrays of markers.", unit="s", low=0.0, high=3600.0
     )
 
 
@@ -120,20 +119,21 @@ class FilterMessages:
         yield topics.UE_STATE, make_ue_state(types, time_ns, mean, covariance, frames)
         yield topics.ODOMETRY, odometry
         yield topics.LANDMARKS, make_map(types, time_ns, output.landmarks, self.bs, frames)
-        if self._due(topics.PATH, time_ns, self.drawing.path_period):
+        if self._due("pose", time_ns, self.drawing.path_spacing):
             self._poses.append(types("geometry_msgs/msg/PoseStamped")(header=header, pose=pose))
             del self._poses[: -self.drawing.path_poses]
+        if self._due(topics.PATH.name, time_ns, self.drawing.path_period):
             path = types(topics.PATH.type_name)(header=header, poses=list(self._poses))
             yield topics.PATH, path
-        if self._due(topics.LANDMARK_MARKERS, time_ns, self.drawing.markers_period):
+        if self._due(topics.LANDMARK_MARKERS.name, time_ns, self.drawing.markers_period):
             yield topics.LANDMARK_MARKERS, self._markers(time_ns, output.landmarks)
 
-    def _due(self, topic: topics.Topic, time_ns: int, period: float) -> bool:
+    def _due(self, what: str, time_ns: int, period: float) -> bool:
         """Whether the last one is long enough ago."""
-        last = self._sent.get(topic.name)
+        last = self._sent.get(what)
         due = last is None or not 0 <= time_ns - last < round(period * 1e9)
         if due:
-            self._sent[topic.name] = time_ns
+            self._sent[what] = time_ns
         return due
 
     def _pose(self, mean: FloatArray) -> Any:

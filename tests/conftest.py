@@ -32,6 +32,8 @@ SEED = 5
 START = 1.0
 PATIENCE = 30.0
 # Names of odd length: CDR leaves gaps behind them.
+# What is only drawn comes with every set, so that it can be compared.
+UNPACED = {"path_period": 0.0, "path_spacing": 0.0, "markers_period": 0.0}
 FRAMES = {"map_frame": "world", "base_frame": "m"}
 
 _domains = itertools.count(7 * os.getpid())
@@ -289,7 +291,7 @@ def run_live(ros: Ros, bag: Path, scene: Path) -> LiveRun:
     from dopslam_ros.nodes.simulator import SimulatorNode
 
     listener = ros.listen(*topics.RECORDED)
-    filtering = ros.start(FilterNode, **FRAMES)
+    filtering = ros.start(FilterNode, **FRAMES, **UNPACED)
     bounding = ros.start(BoundsNode, map_frame=FRAMES["map_frame"])
     recording = ros.start(RecorderNode, bag=str(bag))
     simulating = ros.start(

@@ -175,7 +175,7 @@ def test_a_degenerate_covariance_is_drawn() -> None:
 
 def test_the_path_is_bounded() -> None:
     """Of a long drive the newest poses stay, and a message once made does not change."""
-    messages = FilterMessages(message_class, BS, drawing=DrawingParameters(path_poses=3))
+    messages = FilterMessages(message_class, BS, drawing=DrawingParameters(3, 1.0, 1.0))
     paths = []
     for number in range(1, 6):
         found = dict((t.name, m) for t, m in messages.of(output(landmarks(), number * 10**9)))
@@ -185,15 +185,19 @@ def test_the_path_is_bounded() -> None:
 
 
 def test_what_is_only_drawn_is_paced_by_the_time_of_the_sets() -> None:
-    """At 100 Hz: a pose of the path every 0.5 s, markers every 0.2 s; state and map each time."""
+    """At 100 Hz: a path every 2 s, markers every 1 s; state and map each time."""
     messages = FilterMessages(message_class, BS)
     sent: dict[str, list[int]] = {}
-    for number in range(101):
-        for topic, _ in messages.of(output(landmarks((1, VA)), 10**9 + number * 10**7)):
+    poses = []
+    for number in range(401):
+        for topic, message in messages.of(output(landmarks((1, VA)), 10**9 + number * 10**7)):
             sent.setdefault(topic.name, []).append(number)
-    assert sent[topics.PATH.name] == [0, 50, 100]
-    assert sent[topics.LANDMARK_MARKERS.name] == [0, 20, 40, 60, 80, 100]
-    assert len(sent[topics.UE_STATE.name]) == len(sent[topics.LANDMARKS.name]) == 101
+            if topic == topics.PATH:
+                poses.append(len(message.poses))
+    assert sent[topics.PATH.name] == [0, 200, 400]
+    assert poses == [1, 5, 9]  # one every 0.5 s
+    assert sent[topics.LANDMARK_MARKERS.name] == [0, 100, 200, 300, 400]
+    assert len(sent[topics.UE_STATE.name]) == len(sent[topics.LANDMARKS.name]) == 401
     # A recording that begins anew is shown at once.
     names = [topic.name for topic, _ in messages.of(output(landmarks(), 10**9))]
     assert topics.PATH.name in names

@@ -221,7 +221,7 @@ def test_bounds_at_the_estimate(ros: Ros, simulated: Path) -> None:
 def test_a_late_subscriber_gets_the_map(ros: Ros, scene: Path) -> None:
     """Who joins after the run gets the last map, path, markers, true map and the settings."""
     early = ros.listen(topics.LANDMARK_MARKERS, topics.ODOMETRY_CONTROL, *LATCHED[:2])
-    filtering = ros.start(FilterNode)
+    filtering = ros.start(FilterNode, path_period=0.0, path_spacing=0.0, markers_period=0.0)
     simulating = ros.start(
         SimulatorNode,
         scenario=str(scene),
