@@ -126,7 +126,7 @@ def street(in_view: int, far: int, steps: int) -> Scenario:
     return Scenario(
         name="street",
         period=0.1,
-        initial_state=(start[0], start[1], 0.0, 300.0),
+        initial_state=(*start[:2].tolist(), 0.0, 300.0),
         landmarks=np.concatenate([WALLS, near, away]),
         landmark_types=np.array(types, dtype=np.int64),
         controls=(Control(0.5, 0.0),) * steps,

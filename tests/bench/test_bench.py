@@ -61,8 +61,8 @@ def test_growth_exponent(power: float) -> None:
 
 def test_the_street_has_in_view_what_it_says() -> None:
     scenario = scaling.street(10, 40, 30)
-    for state in nominal_trajectory(scenario):
-        seen = visible(scenario, state, 0.5)
+    for step, state in enumerate(nominal_trajectory(scenario)):
+        seen = visible(scenario, state, step)
         assert seen[:11].all() and not seen[11:].any()  # the BS is the first one
 
 
