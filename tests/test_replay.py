@@ -99,7 +99,8 @@ def test_interleaving_does_not_matter(
 def play_into_filter(ros: Ros, bag: Path) -> dict[str, list[bytes]]:
     """What a filter node says to a bag that is played to it."""
     listener = ros.listen(*RESULTS)
-    filtering = ros.start(FilterNode, map_frame="world", base_frame="m")
+    every = {"path_period": 0.0, "path_spacing": 0.0, "markers_period": 0.0}
+    filtering = ros.start(FilterNode, map_frame="world", base_frame="m", **every)
     ros.spin_until(lambda: filtering.count_subscribers("ue_state") == 1)
     player = ros.start(PlayerNode, bag=str(bag), rate=100.0, wait_for_nodes="filter")
     ros.spin_until(player.finished)

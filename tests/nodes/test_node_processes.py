@@ -36,7 +36,13 @@ def start(processes: Processes, name: str, bag: Path, scene: Path) -> Process:
             "map_frame": "world",
             "base_frame": "m",
         },
-        "filter": {"map_frame": "world", "base_frame": "m"},
+        "filter": {
+            "map_frame": "world",
+            "base_frame": "m",
+            "path_period": 0.0,
+            "path_spacing": 0.0,
+            "markers_period": 0.0,
+        },
         "bounds": {"map_frame": "world"},
         "recorder": {"bag": bag},
     }
