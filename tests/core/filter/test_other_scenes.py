@@ -1,14 +1,15 @@
 """The filter beside the bound, and beside one that is told the association, on other scenes.
 
-How the limits were chosen: each scene was run 120 times (seeds 3, 11 and 2024) and the runs put into
-groups as large as here. The worst group of all scenes but the street grid had 1.39 times the bound, a
-NEES between 2.6 and 6.0, and 1.11 times the error of the genie; the limits are a tenth beyond. Groups
-scatter that much because the steps of a run are correlated: over all runs the error is 0.98 to 1.05
-times the bound and the NEES 3.9 to 4.3 (ideal 4).
+How the limits were chosen: each scene was run 120 times (seeds 3, 11 and 2024) and the runs put
+into groups as large as here. The worst group of all scenes but the street grid had 1.39 times the
+bound, a NEES between 2.6 and 6.0, and 1.11 times the error of the genie; the limits are a tenth
+beyond. Groups scatter that much because the steps of a run are correlated: over all runs the
+error is 0.98 to 1.05 times the bound and the NEES 3.9 to 4.3 (ideal 4).
 
-The street grid is worse, the genie as well: lamp posts passed at three metres bend the densities more
-than a linearisation can follow. Without them the error is at the bound. Its worst group had 1.9 times
-the bound, a NEES of 12, and 1.28 times the error of the genie; over all runs 1.2, 6 and 0.9.
+The street grid is worse, the genie as well: lamp posts passed at three metres bend the densities
+more than a linearisation can follow. Without them the error is at the bound. Its worst group had
+1.9 times the bound, a NEES of 12, and 1.28 times the error of the genie; over all runs 1.2, 6 and
+0.9.
 """
 
 from __future__ import annotations
