@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache, lru_cache
 from typing import Any, TypeVar
 
 import yaml
@@ -98,6 +99,12 @@ def to_yaml(profiles: Iterable[OfferedQos]) -> str:
     Returns:
         A YAML list without a newline at its end; ``[]`` when there are no profiles.
     """
+    return _to_yaml(tuple(profiles))
+
+
+@cache
+def _to_yaml(profiles: tuple[OfferedQos, ...]) -> str:
+    """Most topics of a bag have the same."""
     return str(yaml.safe_dump(to_data(profiles), sort_keys=False)).strip()
 
 
@@ -106,6 +113,7 @@ def to_data(profiles: Iterable[OfferedQos]) -> list[dict[str, object]]:
     return [_profile_to_data(profile) for profile in profiles]
 
 
+@lru_cache(maxsize=256)
 def from_yaml(text: str) -> tuple[OfferedQos, ...]:
     """Read profiles from the text in the metadata of a channel.
 

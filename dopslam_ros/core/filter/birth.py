@@ -9,9 +9,7 @@ import numpy as np
 from dopslam_ros.core.arrays import BoolArray, FloatArray, floats
 from dopslam_ros.core.filter.evidence import Observed
 from dopslam_ros.core.filter.state import UE, UNKNOWN_TYPES, FilterParameters, FilterState
-from dopslam_ros.core.filter.undetected import log_share_left
-from dopslam_ros.core.kernels import birth, incidence
-from dopslam_ros.core.model import detection_probabilities
+from dopslam_ros.core.kernels import birth, detection, incidence
 
 TYPES = np.array(UNKNOWN_TYPES, dtype=np.int64)
 
@@ -86,14 +84,23 @@ def _log_undetected(
     state: FilterState, positions: FloatArray, spread: FloatArray, parameters: FilterParameters
 ) -> FloatArray:
     """ln (lambda p_D) at places (M, 3), M / 2 of each type, with std (M,) of the distance [m]."""
-    types = np.repeat(TYPES, len(positions) // len(TYPES))
-    ue = np.array([state.ue_mean[0], state.ue_mean[1], parameters.ue_height])
-    detection = detection_probabilities(parameters, ue, positions, types, spread)
-    left = log_share_left(
-        state.undetected, positions, types, spread, parameters, parameters.undetected_floor
+    result, looked = np.empty(len(positions)), state.undetected
+    detection.log_undetected(
+        state.mean,
+        looked.looks,
+        looked.viewpoints,
+        looked.viewpoint_looks,
+        parameters.ue_height,
+        positions,
+        np.repeat(TYPES, len(positions) // len(TYPES)),
+        spread,
+        parameters.detection_probability,
+        parameters.sp_field_of_view,
+        parameters.undetected_floor,
+        parameters.undetected_intensity,
+        result,
     )
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(parameters.undetected_intensity * detection) + left)
+    return result
 
 
 def initial_incidence_points(

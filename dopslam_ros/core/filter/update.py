@@ -258,10 +258,11 @@ def merge(
         mean,
         covariance,
     )
-    merged = replace(
+    if parameters.coupling == "marginal":
+        kernels.uncouple(covariance)
+    return replace(
         state, mean=mean, covariance=covariance, component_weight=share, existence=existence
     )
-    return _uncoupled(merged) if parameters.coupling == "marginal" else merged
 
 
 def separate(
@@ -301,6 +302,6 @@ def prune(state: FilterState, parameters: FilterParameters) -> FilterState:
 
 def _uncoupled(state: FilterState) -> FilterState:
     """The marginal form of the paper: no covariance between vehicle, landmarks and types."""
-    block = np.concatenate([np.zeros(UE), 1 + np.repeat(np.arange(len(state.origin)), 3)])
-    same = block[:, None] == block[None, :]
-    return replace(state, covariance=np.where(same, state.covariance, 0.0))
+    covariance = state.covariance.copy()
+    kernels.uncouple(covariance)
+    return replace(state, covariance=covariance)

@@ -103,6 +103,50 @@ def log_shares_left(
 
 
 @compiled
+def log_undetected(
+    ue: FloatArray,
+    looks: int,
+    viewpoints: FloatArray,
+    viewpoint_looks: IntArray,
+    ue_height: float,
+    positions: FloatArray,
+    types: IntArray,
+    spread: FloatArray,
+    probability: float,
+    view: float,
+    floor: float,
+    intensity: float,
+    result: FloatArray,
+) -> None:
+    """ln (lambda p_D) at M places, into result (M,); the arguments as in ``log_shares_left``.
+
+    Args:
+        ue: (4,) the vehicle now.
+        looks, viewpoints, viewpoint_looks, ue_height, positions, types, spread, probability, view,
+            floor: as there.
+        intensity: lambda before the first snapshot.
+        result: (M,) to be written; -inf where nothing can be detected.
+    """
+    log_shares_left(
+        looks,
+        viewpoints,
+        viewpoint_looks,
+        ue_height,
+        positions,
+        types,
+        spread,
+        probability,
+        view,
+        floor,
+        result,
+    )
+    for m in range(len(types)):
+        distance = apart(ue[0], ue[1], ue_height, positions[m])
+        seen = detection_probability(types[m], distance, spread[m], probability, view)
+        result[m] += math.log(intensity * seen) if seen > 0.0 else -math.inf
+
+
+@compiled
 def apart(x: float, y: float, z: float, position: FloatArray) -> float:
     """Distance of a point from position (3,) [m]."""
     dx, dy, dz = position[0] - x, position[1] - y, position[2] - z

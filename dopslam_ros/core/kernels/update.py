@@ -541,3 +541,14 @@ def keep(
         kept_mean[i] = mean[index[i]]
         for j in range(count):
             kept_covariance[i, j] = covariance[index[i], index[j]]
+
+
+@compiled
+def uncouple(covariance: FloatArray) -> None:
+    """Zeroes (n, n) between the vehicle's block and those of the components, in place."""
+    n = covariance.shape[0]
+    for i in range(n):
+        mine = -1 if i < UE else (i - UE) // 3
+        for j in range(n):
+            if mine != (-1 if j < UE else (j - UE) // 3):
+                covariance[i, j] = 0.0
