@@ -24,7 +24,7 @@ def repair(source: Path, target: Path) -> BagReader:
         BagError: The disk refused.
     """
     reader = BagReader(source)
-    with BagWriter(target, flush_seconds=None) as writer:
+    with BagWriter(target, chunk_bytes=2**20, flush_seconds=None) as writer:
         for topic, info in reader.topics.items():
             writer.copy_topic(topic, info)
         for message in reader.messages():

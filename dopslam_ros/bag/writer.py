@@ -22,10 +22,6 @@ from dopslam_ros.bag.typestore import type_hash as type_hash_of
 _TIME_LIMIT_NS = 2**63
 _IDL_START = "=" * 80 + "\nIDL: "
 
-# Uncompressed sizes of chunks.
-SMALL_CHUNK = 8192
-LARGE_CHUNK = 2**20
-
 
 @dataclass
 class _Topic:
@@ -51,7 +47,7 @@ class BagWriter:
         self,
         path: Path,
         *,
-        chunk_bytes: int | None = None,
+        chunk_bytes: int = 8192,
         flush_seconds: float | None = 0.5,
         fsync_seconds: float | None = None,
     ) -> None:
@@ -60,8 +56,6 @@ class BagWriter:
         Args:
             path: Folder of the bag; must not exist.
             chunk_bytes: Uncompressed size at which a chunk is finished. A message may be larger.
-                None: small where chunks are finished by their age as well, so that a kill loses
-                little; large otherwise.
             flush_seconds: Age at which ``write`` finishes a chunk [s]; None: never, so that equal
                 calls make equal files.
             fsync_seconds: Interval at which the disk is made to store everything [s], which
@@ -71,8 +65,6 @@ class BagWriter:
             BagExistsError: ``path`` exists.
             BagWriteError: The folder cannot be created.
         """
-        if chunk_bytes is None:
-            chunk_bytes = LARGE_CHUNK if flush_seconds is None else SMALL_CHUNK
         self.path = Path(path)
         self._topics: dict[str, _Topic] = {}
         self._schemas: dict[tuple[str, str], int] = {}
