@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
-from scipy.stats import chi2
 
 from dopslam_ros.core.arrays import FloatArray, IntArray, symmetrise, wrap_angle
 from dopslam_ros.core.assignment import UNASSIGNED, k_best_assignments
@@ -30,6 +29,7 @@ from dopslam_ros.core.filter.birth import Births, propose
 from dopslam_ros.core.filter.estimates import LandmarkEstimates
 from dopslam_ros.core.filter.evidence import (
     Observed,
+    gates,
     gaussian_terms,
     log_normaliser,
     masked_residual,
@@ -273,7 +273,7 @@ def _pairs(
         detection=detection,
         log_weight=log_weight,
         log_normaliser=log_normaliser(observed),
-        gate=chi2.ppf(parameters.gate_probability, observed.used.sum(axis=1)),
+        gate=gates(parameters.gate_probability)[observed.used.sum(axis=1)],
         # A path that nothing explains must still go somewhere.
         log_new=np.maximum(log_new, LOG_TINY),
     )

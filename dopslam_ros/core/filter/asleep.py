@@ -72,14 +72,13 @@ def wake_up(state: FilterState, parameters: FilterParameters) -> FilterState:
     found, asleep = state.asleep.take(state.ue_mean[:2], _blur(state), _cell_size(parameters))
     if found is None:
         return state
-    gain = _gains(state, found)
+    gain, q, residual = _regression(state, found)
     count, n, tracks = len(found), len(state.mean), len(state.track_id)
     joint = np.zeros((n + 3 * count, n + 3 * count))
     joint[:n, :n] = state.covariance
     joint[n:, :n] = gain.reshape(3 * count, n) @ state.covariance
     joint[:n, n:] = joint[n:, :n].T
     joint[n:, n:] = joint[n:, :n] @ gain.reshape(3 * count, n).T
-    q, residual = _given_anchors(state, found)
     for number in range(count):
         block = slice(n + 3 * number, n + 3 * number + 3)
         joint[block, block] += residual[number]
@@ -100,8 +99,7 @@ def wake_up(state: FilterState, parameters: FilterParameters) -> FilterState:
 
 def as_of_now(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, FloatArray]:
     """(N, 3) placements and (N, 3, 3) covariances of sleepers, as the anchors have it now."""
-    gain = _gains(state, sleepers)
-    q, residual = _given_anchors(state, sleepers)
+    gain, q, residual = _regression(state, sleepers)
     return q, residual + symmetrise(gain @ state.covariance @ np.swapaxes(gain, 1, 2))
 
 
@@ -125,11 +123,11 @@ def _sleepers(state: FilterState, components: IntArray, reach: FloatArray) -> Sl
     anchors = _anchors(state)
     count = len(components)
     index = block_indices(UE, anchors, 3).ravel()
-    own = block_indices(UE, components, 3)
-    cross = state.covariance[own.ravel()][:, index]
+    own = block_indices(UE, components, 3).ravel()
+    cross = state.covariance[own][:, index]
     within = state.covariance[np.ix_(index, index)]
     gain = np.asarray(np.linalg.solve(within, cross.T), np.float64).T
-    covariance = state.covariance[own[:, :, None], own[:, None, :]]
+    covariance = state.placement_covariances[components]
     explained = gain.reshape(count, 3, -1) @ np.swapaxes(cross.reshape(count, 3, -1), 1, 2)
     track = state.component_track[components]
     return Sleepers(
@@ -139,7 +137,7 @@ def _sleepers(state: FilterState, components: IntArray, reach: FloatArray) -> Sl
         position=state.positions[components],
         origin=state.origin[components],
         axes=state.axes[components],
-        q=state.mean[own],
+        q=state.placements[components],
         covariance=covariance,
         anchors=np.tile(state.track_id[state.component_track[anchors]], (count, 1)),
         anchor_q=np.tile(state.mean[index], (count, 1)),
@@ -166,28 +164,30 @@ def _located(state: FilterState, sleepers: Sleepers) -> tuple[IntArray, BoolArra
     return component, np.asarray((hit | ~used).all(axis=1))
 
 
-def _gains(state: FilterState, sleepers: Sleepers) -> FloatArray:
-    """(N, 3, n) how q follows the joint vector; zero for those that have lost an anchor."""
+def _regression(
+    state: FilterState, sleepers: Sleepers
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How q depends on the joint vector as it is now; not at all for those that lost an anchor.
+
+    Returns:
+        (N, 3, n) gains, (N, 3) q, and (N, 3, 3) its covariance given the joint vector.
+    """
     component, complete = _located(state, sleepers)
     count, places = component.shape
-    # One column more than there are, for places that are not used.
-    gain = np.zeros((count, 3, len(state.mean) + 3))
+    n = len(state.mean)
+    # Columns beyond the last are for places that are not used.
+    gain = np.zeros((count, 3, n + 3))
     columns = UE + 3 * component[:, :, None] + np.arange(3)
-    columns = np.where(component[:, :, None] >= 0, columns, len(state.mean))
+    columns = np.where(component[:, :, None] >= 0, columns, n)
     parts = sleepers.gain.reshape(count, 3, places, 3)
     row = np.arange(count)
     for place in range(places):
         for c in range(3):
             gain[row, :, columns[:, place, c]] += parts[:, :, place, c]
-    return gain[:, :, : len(state.mean)] * complete[:, None, None]
 
-
-def _given_anchors(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, FloatArray]:
-    """(N, 3) q and (N, 3, 3) its covariance given the anchors; those of then for lost ones."""
-    component, complete = _located(state, sleepers)
     placements = np.vstack([state.placements, np.zeros((1, 3))])[component]
-    moved = placements.reshape(len(sleepers), -1) - sleepers.anchor_q
+    moved = placements.reshape(count, -1) - sleepers.anchor_q
     shift = (sleepers.gain @ moved[:, :, None])[:, :, 0]
     q = sleepers.q + np.where(complete[:, None], shift, 0.0)
     residual = np.where(complete[:, None, None], sleepers.residual, sleepers.covariance)
-    return q, residual
+    return gain[:, :, :n] * complete[:, None, None], q, residual

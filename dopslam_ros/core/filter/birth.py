@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from dopslam_ros.core.arrays import BoolArray, FloatArray, floats
 from dopslam_ros.core.filter.evidence import Observed
 from dopslam_ros.core.filter.state import UE, UNKNOWN_TYPES, FilterParameters, FilterState
+from dopslam_ros.core.filter.undetected import log_share_left
 from dopslam_ros.core.kernels import birth, detection, incidence
 
 TYPES = np.array(UNKNOWN_TYPES, dtype=np.int64)
@@ -84,23 +86,21 @@ def _log_undetected(
     state: FilterState, positions: FloatArray, spread: FloatArray, parameters: FilterParameters
 ) -> FloatArray:
     """ln (lambda p_D) at places (M, 3), M / 2 of each type, with std (M,) of the distance [m]."""
-    result, looked = np.empty(len(positions)), state.undetected
-    detection.log_undetected(
+    types = np.repeat(TYPES, len(positions) // len(TYPES))
+    log_share = log_share_left(
+        state.undetected, positions, types, spread, parameters, parameters.undetected_floor
+    )
+    detection.add_log_detection(
         state.mean,
-        looked.looks,
-        looked.viewpoints,
-        looked.viewpoint_looks,
         parameters.ue_height,
         positions,
-        np.repeat(TYPES, len(positions) // len(TYPES)),
+        types,
         spread,
         parameters.detection_probability,
         parameters.sp_field_of_view,
-        parameters.undetected_floor,
-        parameters.undetected_intensity,
-        result,
+        log_share,
     )
-    return result
+    return log_share + math.log(parameters.undetected_intensity)
 
 
 def initial_incidence_points(

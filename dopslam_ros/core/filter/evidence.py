@@ -93,11 +93,7 @@ def weigh(
         parameters: gate, p_D and noise.
     """
     sources = len(state.component_track) + 1
-    expected, a, b = (
-        np.empty((sources, DIM)),
-        np.empty((sources, DIM, UE)),
-        np.empty((sources, DIM, 3)),
-    )
+    a, b = np.empty((sources, DIM, UE)), np.empty((sources, DIM, 3))
     degenerate, detection = np.empty(sources, np.bool_), np.empty(sources)
     expected, projected = np.empty((sources, DIM)), np.empty((sources, DIM, DIM))
     kernels.look_at_sources(

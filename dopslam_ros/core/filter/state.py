@@ -156,11 +156,6 @@ class FilterState:
         return self.covariance[index[:, :, None], index[:, None, :]]
 
     @property
-    def placement_cross_covariances(self) -> FloatArray:
-        """(C, 4, 3) covariances between the vehicle and q."""
-        return np.moveaxis(self.covariance[:UE, UE:].reshape(UE, -1, 3), 1, 0)
-
-    @property
     def positions(self) -> FloatArray:
         """(C, 3) where the components are [m]."""
         return placement.positions(self.origin, self.axes, self.placements)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.kernels.channel import SP
 from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.placement import place, place_jacobian
 
 UE = 4
-SP = int(LandmarkType.SP)
 
 
 @compiled
@@ -46,31 +48,18 @@ def left_behind(
     """
     blur = margin * math.sqrt(covariance[0, 0] + covariance[1, 1])
     leaving[:] = True
+    position, jacobian = np.empty(3), np.empty((3, 3))
     for c in range(len(component_track)):
         at = UE + 3 * c
-        u, v = mean[at + 1], mean[at + 2]
-        length = math.sqrt(1.0 + u * u + v * v)
-        ray = (1.0 / length, u / length, v / length)
-        x, y = origin[c, 0], origin[c, 1]
+        place(origin[c], axes[c], mean[at : at + 3], position)
+        place_jacobian(axes[c], mean[at : at + 3], jacobian)
+        spread = 0.0  # the trace of J P J'
         for i in range(3):
-            x += mean[at] * axes[c, 0, i] * ray[i]
-            y += mean[at] * axes[c, 1, i] * ray[i]
-        # The trace of J P J'; the axes do not change it.
-        spread = 0.0
-        for i in range(3):
-            row_0 = ray[i]
-            row_1 = mean[at] / length * ((1.0 if i == 1 else 0.0) - ray[i] * ray[1])
-            row_2 = mean[at] / length * ((1.0 if i == 2 else 0.0) - ray[i] * ray[2])
-            spread += (
-                row_0 * row_0 * covariance[at, at]
-                + row_1 * row_1 * covariance[at + 1, at + 1]
-                + row_2 * row_2 * covariance[at + 2, at + 2]
-                + 2.0 * row_0 * row_1 * covariance[at, at + 1]
-                + 2.0 * row_0 * row_2 * covariance[at, at + 2]
-                + 2.0 * row_1 * row_2 * covariance[at + 1, at + 2]
-            )
+            for k in range(3):
+                for j in range(3):
+                    spread += jacobian[i, k] * covariance[at + k, at + j] * jacobian[i, j]
         reach[c] = view + margin * math.sqrt(max(spread, 0.0))
-        distance = math.hypot(x - mean[0], y - mean[1])
+        distance = math.hypot(position[0] - mean[0], position[1] - mean[1])
         if component_type[c] != SP or distance <= reach[c] + blur + hysteresis:
             leaving[component_track[c]] = False
     return bool(leaving.any())

@@ -6,7 +6,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.kernels.compiled import compiled
-from dopslam_ros.core.kernels.small import cholesky, forward
+from dopslam_ros.core.kernels.small import cholesky, forward, used_places
 
 DIM, UE = 6, 4
 
@@ -42,11 +42,7 @@ def gather(
     for m in range(len(weights)):
         if not weights[m] > 0.0:
             continue
-        count = 0
-        for c in range(DIM):
-            if used[m, c]:
-                place[count] = c
-                count += 1
+        count = used_places(used[m], place)
         for k in range(count):
             for i in range(k + 1):
                 factor[k, i] = noise[m, place[k], place[i]]

@@ -103,47 +103,27 @@ def log_shares_left(
 
 
 @compiled
-def log_undetected(
+def add_log_detection(
     ue: FloatArray,
-    looks: int,
-    viewpoints: FloatArray,
-    viewpoint_looks: IntArray,
     ue_height: float,
     positions: FloatArray,
     types: IntArray,
     spread: FloatArray,
     probability: float,
     view: float,
-    floor: float,
-    intensity: float,
-    result: FloatArray,
+    log_share: FloatArray,
 ) -> None:
-    """ln (lambda p_D) at M places, into result (M,); the arguments as in ``log_shares_left``.
+    """Adds ln p_D to log_share (M,), -inf where nothing can be detected; the rest as above.
 
     Args:
         ue: (4,) the vehicle now.
-        looks, viewpoints, viewpoint_looks, ue_height, positions, types, spread, probability, view,
-            floor: as there.
-        intensity: lambda before the first snapshot.
-        result: (M,) to be written; -inf where nothing can be detected.
+        ue_height, positions, types, spread, probability, view: as in ``log_shares_left``.
+        log_share: (M,) to be added to.
     """
-    log_shares_left(
-        looks,
-        viewpoints,
-        viewpoint_looks,
-        ue_height,
-        positions,
-        types,
-        spread,
-        probability,
-        view,
-        floor,
-        result,
-    )
     for m in range(len(types)):
         distance = apart(ue[0], ue[1], ue_height, positions[m])
         seen = detection_probability(types[m], distance, spread[m], probability, view)
-        result[m] += math.log(intensity * seen) if seen > 0.0 else -math.inf
+        log_share[m] += math.log(seen) if seen > 0.0 else -math.inf
 
 
 @compiled

@@ -8,11 +8,11 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.channel import AZIMUTHS, DIM
-from dopslam_ros.core.kernels.channel import BS, observe_source, unit
+from dopslam_ros.core.kernels.channel import BS, observe_source, unit, wrapped
 from dopslam_ros.core.kernels.compiled import compiled
 from dopslam_ros.core.kernels.detection import detection_probability
 from dopslam_ros.core.kernels.placement import place, place_jacobian
-from dopslam_ros.core.kernels.small import cholesky, forward, log_determinant
+from dopslam_ros.core.kernels.small import cholesky, forward, log_determinant, used_places
 
 LOG_2PI = math.log(2.0 * math.pi)
 ARRIVAL, DEPARTURE = AZIMUTHS
@@ -200,13 +200,9 @@ def log_likelihoods(
     """
     s = np.empty((DIM, DIM))
     v = np.empty(DIM)
-    place = np.empty(DIM, np.int64)
+    places = np.empty(DIM, np.int64)
     for j in range(values.shape[0]):
-        count = 0
-        for c in range(DIM):
-            if used[j, c]:
-                place[count] = c
-                count += 1
+        count = used_places(used[j], places)
         gate = gates[count]
         for m in range(expected.shape[0]):
             log_likelihood[m, j] = -np.inf
@@ -216,7 +212,7 @@ def log_likelihoods(
                 if used[j, c]:
                     difference = values[j, c] - expected[m, c]
                     if c in (ARRIVAL, DEPARTURE):
-                        difference = math.pi - (math.pi - difference) % (2.0 * math.pi)
+                        difference = wrapped(difference)
                     # The distance in one component is never larger than that in all.
                     variance = projected[m, c, c] + noise[j, c, c]
                     if difference * difference > gate * variance:
@@ -225,9 +221,9 @@ def log_likelihoods(
             if outside:
                 continue
             for k in range(count):
-                v[k] = innovation[m, j, place[k]]
+                v[k] = innovation[m, j, places[k]]
                 for i in range(k + 1):
-                    s[k, i] = projected[m, place[k], place[i]] + noise[j, place[k], place[i]]
+                    s[k, i] = projected[m, places[k], places[i]] + noise[j, places[k], places[i]]
             if not cholesky(s, count):
                 return False
             forward(s, v, count)

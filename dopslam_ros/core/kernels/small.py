@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dopslam_ros.core.arrays import FloatArray
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.kernels.compiled import compiled
 
 
@@ -74,3 +74,14 @@ def log_determinant(lower: FloatArray, n: int) -> float:
     for i in range(n):
         total += math.log(lower[i, i])
     return 2.0 * total
+
+
+@compiled
+def used_places(used: BoolArray, place: IntArray) -> int:
+    """Writes the indices at which used (n,) holds to the front of place (n,); returns how many."""
+    count = 0
+    for index in range(len(used)):
+        if used[index]:
+            place[count] = index
+            count += 1
+    return count

@@ -7,7 +7,7 @@ import numpy as np
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.channel import DIM
 from dopslam_ros.core.kernels.compiled import compiled
-from dopslam_ros.core.kernels.small import cholesky
+from dopslam_ros.core.kernels.small import cholesky, used_places
 
 UE = 4
 
@@ -46,12 +46,8 @@ def absorb(
     column = UE + 3 * (source - 1)
     s = np.empty((DIM, DIM))
     v = np.empty(DIM)
-    count = 0
     place = np.empty(DIM, np.int64)
-    for c in range(DIM):
-        if used[c]:
-            place[count] = c
-            count += 1
+    count = used_places(used, place)
     for k in range(count):
         c = place[k]
         v[k] = innovation[c]
