@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from dopslam_ros import topics
 from dopslam_ros.bag import deserialize, message_class, serialize
-from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.channel import DIM, LandmarkType
 from dopslam_ros.core.filter import (
     Associations,
     FilterParameters,
@@ -66,6 +66,7 @@ def output(estimates: LandmarkEstimates, stamp: int = 10**9) -> FilterOutput:
         state=initial_mixture(FilterParameters()),
         parameters=FilterParameters(),
         control=Control(3.0, -0.5),
+        measurements=MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM))),
         associations=Associations(nothing.reshape(0, 0), np.zeros(0), nothing),
         step_seconds=0.0,
     )

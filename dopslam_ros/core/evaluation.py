@@ -13,7 +13,7 @@ from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.bounds import Bounds
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import LandmarkEstimates
-from dopslam_ros.core.metrics import gospa, nees, rmse, state_errors
+from dopslam_ros.core.metrics import Gospa, gospa, nees, rmse, state_errors
 
 
 @dataclass(frozen=True)
@@ -23,18 +23,31 @@ class StepRecord:
     Attributes:
         error: (4,) estimate minus truth.
         nees: of the vehicle.
-        gospa_va: GOSPA distance of the VAs [m].
-        gospa_sp: of the SPs [m].
+        va: GOSPA of the VAs, with its parts.
+        sp: of the SPs.
         bound: (3,) PEB [m], HEB [rad], CEB [m].
         seconds: time the step took.
     """
 
     error: FloatArray
     nees: float
-    gospa_va: float
-    gospa_sp: float
+    va: Gospa
+    sp: Gospa
     bound: FloatArray
     seconds: float
+
+    @property
+    def gospa_va(self) -> float:
+        """GOSPA distance of the VAs [m]."""
+        return self.va.distance
+
+    @property
+    def gospa_sp(self) -> float:
+        """GOSPA distance of the SPs [m]."""
+        return self.sp.distance
+
+
+NOT_JUDGED = Gospa(math.nan, math.nan, math.nan, math.nan)
 
 
 def judge_step(
@@ -64,16 +77,16 @@ def judge_step(
         error = state_errors(mean, true_state)
         normalised = nees(error, covariance)
 
-    def distance(truth: FloatArray | None, kind: LandmarkType) -> float:
+    def judged_map(truth: FloatArray | None, kind: LandmarkType) -> Gospa:
         if truth is None:
-            return math.nan
-        return gospa(truth, landmarks.positions[landmarks.types == kind]).distance
+            return NOT_JUDGED
+        return gospa(truth, landmarks.positions[landmarks.types == kind])
 
     return StepRecord(
         error=error,
         nees=normalised,
-        gospa_va=distance(true_vas, LandmarkType.VA),
-        gospa_sp=distance(true_sps, LandmarkType.SP),
+        va=judged_map(true_vas, LandmarkType.VA),
+        sp=judged_map(true_sps, LandmarkType.SP),
         bound=np.full(3, np.nan) if bound is None else np.array(bound[:3]),
         seconds=seconds,
     )

@@ -48,7 +48,8 @@ class FilterOutput:
         state: posterior density.
         parameters: of the filter.
         control: what the vehicle does at that time; zeros if unknown.
-        associations: the hypotheses behind it.
+        measurements: the paths that were used.
+        associations: the hypotheses behind it, about these paths.
         step_seconds: time that the computation took.
     """
 
@@ -56,6 +57,7 @@ class FilterOutput:
     state: Mixture
     parameters: FilterParameters
     control: Control
+    measurements: MeasurementSet
     associations: Associations
     step_seconds: float
 
@@ -143,6 +145,7 @@ class FilterSession:
             state=result.state,
             parameters=self.parameters,
             control=control,
+            measurements=measurements,
             associations=result.associations,
             step_seconds=time.perf_counter() - started,
         )

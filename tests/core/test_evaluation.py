@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.bounds import Bounds
-from dopslam_ros.core.evaluation import StepRecord, judge_step, summarise
+from dopslam_ros.core.evaluation import NOT_JUDGED, StepRecord, judge_step, summarise
 from dopslam_ros.core.filter import LandmarkEstimates
 
 TRUTH = np.array([1.0, 2.0, 3.1, 4.0])
@@ -44,6 +44,8 @@ def test_a_step_is_judged_against_what_is_known() -> None:
     assert record.nees == pytest.approx(1.0 + 1.0 + 1.0 + 1.0)
     assert record.gospa_va == pytest.approx(math.sqrt(9.0 + 200.0))  # one near, one false
     assert record.gospa_sp == pytest.approx(math.sqrt(1.0 + 200.0))  # one near, one missed
+    assert record.va == pytest.approx((math.sqrt(209.0), 9.0, 0.0, 200.0))
+    assert record.sp == pytest.approx((math.sqrt(201.0), 1.0, 200.0, 0.0))
     assert record.bound.tolist() == [0.1, 0.01, 0.2]
     assert record.seconds == 0.004
 
@@ -63,9 +65,13 @@ def test_without_truth_nothing_is_judged_and_nothing_summarised() -> None:
 
 
 def record(error: list[float], **known: float) -> StepRecord:
-    values = {"nees": 4.0, "gospa_va": math.nan, "gospa_sp": math.nan, "seconds": math.nan, **known}
+    values = {"nees": 4.0, "seconds": math.nan, **known}
     bound = values.pop("peb", math.nan)
-    return StepRecord(error=np.array(error), bound=np.full(3, bound), **values)
+    va, sp = (
+        NOT_JUDGED._replace(distance=values.pop(name, math.nan))
+        for name in ("gospa_va", "gospa_sp")
+    )
+    return StepRecord(error=np.array(error), va=va, sp=sp, bound=np.full(3, bound), **values)
 
 
 def test_the_summary_averages_over_steps() -> None:
