@@ -57,7 +57,8 @@ def fall_asleep(state: FilterState, parameters: FilterParameters) -> FilterState
     ):
         return state
     asleep = state.asleep
-    remembered = np.flatnonzero((leaving & (state.existence >= FORGOTTEN))[state.component_track])
+    least = FORGOTTEN if parameters.mapping else 0.0
+    remembered = np.flatnonzero((leaving & (state.existence >= least))[state.component_track])
     if len(remembered):
         sleepers = _sleepers(state, remembered, reach[remembered])
         asleep = asleep.with_more(sleepers, _cell_size(parameters))

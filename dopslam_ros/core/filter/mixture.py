@@ -112,7 +112,7 @@ def mixture_step(
     """One step of the EK-PMB(M) filter: of the PMB, or of every global hypothesis of the PMBM.
 
     Each global hypothesis takes its own gamma best associations; of all of these the likeliest are
-    carried on.
+    carried on. A map that is known has one density only.
 
     Args:
         mixture: density after the previous snapshot.
@@ -121,7 +121,7 @@ def mixture_step(
         speed: v at the snapshot [m/s].
         parameters: models and settings.
     """
-    if parameters.density == "pmb":
+    if parameters.density == "pmb" or not parameters.mapping:
         outcome = step(mixture.best, measurements, spans, speed, parameters)
         return MixtureStep(Mixture((outcome.state,), np.ones(1)), outcome.associations)
     observed = evidence.prepare(measurements, parameters)

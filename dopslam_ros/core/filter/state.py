@@ -25,6 +25,11 @@ class FilterParameters(OnlineParameters):
     """Settings of the EK-PMB filter beside the models."""
 
     gamma: int = parameter(10, "Number of best data associations kept in a step.", low=1, high=1000)
+    mapping: bool = parameter(
+        True,
+        "Whether the map is learned; false: localise only, in the map that was loaded, which stays"
+        " as it is.",
+    )
     coupling: str = parameter(
         "joint",
         "Whether the correlation between vehicle and map is kept from step to step (joint) or"

@@ -11,6 +11,7 @@ from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, wrap_angle
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.filter import birth, evidence, hypotheses, update
 from dopslam_ros.core.filter.asleep import fall_asleep, wake_up
+from dopslam_ros.core.filter.localise import localised
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
 from dopslam_ros.core.filter.undetected import looked_from
 from dopslam_ros.core.measurements import MeasurementSet
@@ -66,6 +67,8 @@ def step(
     """
     observed = evidence.prepare(measurements, parameters)
     ranked = rank(advance(state, spans, parameters), observed, speed, parameters)
+    if not parameters.mapping:
+        return _localise(ranked, observed, parameters)
     conditioned = condition(ranked, ranked.born.kept, observed, parameters)
     merged = update.merge(
         conditioned.augmented, conditioned.outcomes, ranked.hypotheses, parameters
@@ -143,6 +146,15 @@ def condition(
     return Conditioned(augmented, outcomes)
 
 
+def _localise(ranked: Ranked, observed: evidence.Observed, parameters: FilterParameters) -> Step:
+    """The step on a known map: what is not of it is clutter or new, and of no interest."""
+    predicted, best = ranked.predicted, ranked.hypotheses
+    means, covariances = update.condition(predicted, observed, ranked.evidence, best)
+    state = localised(predicted, means, covariances, best.weight, parameters)
+    nothing_born = np.full(len(observed.values), UNASSIGNED)
+    return Step(state, Associations(_ids(predicted, best.track), best.weight, nothing_born))
+
+
 def finish(state: FilterState, parameters: FilterParameters) -> FilterState:
     """A posterior density made ready for the next step."""
     pruned = update.prune(state, parameters)
@@ -174,8 +186,12 @@ def predict(
 def associations_of(ranked: Ranked, conditioned: Conditioned) -> Associations:
     """The associations in terms of landmark ids."""
     augmented = conditioned.augmented
-    ids = augmented.state.track_id
-    row_ids = np.concatenate([[BS_ID], ids, [UNASSIGNED]])  # UNASSIGNED is the last one
-    born = np.concatenate([ids, [UNASSIGNED]])[augmented.birth_track]
+    born = np.concatenate([augmented.state.track_id, [UNASSIGNED]])[augmented.birth_track]
     best = ranked.hypotheses
-    return Associations(ids=row_ids[best.track], weight=best.weight, born=born)
+    return Associations(_ids(augmented.state, best.track), best.weight, born)
+
+
+def _ids(state: FilterState, track: IntArray) -> IntArray:
+    """The ids that rows of the association problem stand for."""
+    row_ids = np.concatenate([[BS_ID], state.track_id, [UNASSIGNED]])  # UNASSIGNED is the last one
+    return np.asarray(row_ids[track])
