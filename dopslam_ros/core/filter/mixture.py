@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -152,14 +152,26 @@ def mixture_step(
             tuple(finish(states[index], parameters) for index in kept),
             weight[kept] / weight[kept].sum(),
         ),
-        _pooled(ranked, conditioned, weight),
+        _pooled(ranked, conditioned, weight, float(logsumexp(log_prior))),
     )
 
 
 def _pooled(
-    ranked: Sequence[Ranked], conditioned: Sequence[Conditioned], weight: FloatArray
+    ranked: Sequence[Ranked],
+    conditioned: Sequence[Conditioned],
+    weight: FloatArray,
+    log_evidence: float,
 ) -> Associations:
     """The associations of all global hypotheses together."""
     each = [associations_of(*pair) for pair in zip(ranked, conditioned, strict=True)]
     born = np.max([one.born for one in each], axis=0)  # UNASSIGNED is below every id
-    return Associations(ids=np.concatenate([one.ids for one in each]), weight=weight, born=born)
+    # The likeliest of all is the likeliest of one of them.
+    first = np.cumsum([0, *(len(one.weight) for one in each[:-1])])
+    likeliest = each[int(np.argmax(weight[first]))]
+    return replace(
+        likeliest,
+        ids=np.concatenate([one.ids for one in each]),
+        weight=weight,
+        born=born,
+        log_evidence=log_evidence,
+    )

@@ -29,11 +29,20 @@ class Associations:
         ids: (H, J) id of the landmark (0 the BS) each path was given to, or UNASSIGNED.
         weight: (H,) normalised weights.
         born: (J,) id of the landmark born from each path, or UNASSIGNED.
+        nis: normalised innovation squared v' S^-1 v of all paths that the likeliest hypothesis
+            gives to a landmark, jointly: S has their cross terms, v is in order of the update.
+        nis_dof: how many numbers these paths have; nis is 0 where it is 0, chi-squared with so
+            many degrees of freedom where filter, models and hypothesis are right.
+        log_evidence: ln of the sum of the hypotheses' weights before normalisation, how well the
+            set was foreseen: of all paths, clutter and misdetections included.
     """
 
     ids: IntArray
     weight: FloatArray
     born: IntArray
+    nis: float
+    nis_dof: int
+    log_evidence: float
 
 
 @dataclass(frozen=True)
@@ -102,10 +111,14 @@ class Conditioned:
     Attributes:
         augmented: with the births.
         outcomes: existence and types.
+        nis: of the likeliest of them, see Associations.
+        nis_dof: of the same.
     """
 
     augmented: update.Augmented
     outcomes: update.Outcomes
+    nis: float
+    nis_dof: int
 
 
 def rank(
@@ -130,29 +143,35 @@ def condition(
     parameters: FilterParameters,
 ) -> Conditioned:
     """Updates a density with each of its associations; ``numbered`` (J,) births get an id."""
-    means, covariances = update.condition(
-        ranked.predicted, observed, ranked.evidence, ranked.hypotheses
-    )
+    updated = update.condition(ranked.predicted, observed, ranked.evidence, ranked.hypotheses)
     augmented = update.augment(
         ranked.predicted,
-        means,
-        covariances,
+        updated.means,
+        updated.covariances,
         ranked.births,
         ranked.born,
         numbered,
         parameters,
     )
     outcomes = update.judge(augmented, ranked.evidence, ranked.hypotheses)
-    return Conditioned(augmented, outcomes)
+    return Conditioned(augmented, outcomes, *_fit(updated, ranked.hypotheses, observed))
+
+
+def _fit(
+    updated: update.Updated, best: hypotheses.Hypotheses, observed: evidence.Observed
+) -> tuple[float, int]:
+    """The normalised innovation squared of the likeliest hypothesis and what it counts."""
+    return float(updated.nis[0]), int(observed.used[best.source[0] != UNASSIGNED].sum())
 
 
 def _localise(ranked: Ranked, observed: evidence.Observed, parameters: FilterParameters) -> Step:
     """The step on a known map: what is not of it is clutter or new, and of no interest."""
     predicted, best = ranked.predicted, ranked.hypotheses
-    means, covariances = update.condition(predicted, observed, ranked.evidence, best)
-    state = localised(predicted, means, covariances, best.weight, parameters)
+    updated = update.condition(predicted, observed, ranked.evidence, best)
+    state = localised(predicted, updated.means, updated.covariances, best.weight, parameters)
     nothing_born = np.full(len(observed.values), UNASSIGNED)
-    return Step(state, Associations(_ids(predicted, best.track), best.weight, nothing_born))
+    fit = _fit(updated, best, observed)
+    return Step(state, _associations(predicted, best, nothing_born, *fit))
 
 
 def finish(state: FilterState, parameters: FilterParameters) -> FilterState:
@@ -188,10 +207,13 @@ def associations_of(ranked: Ranked, conditioned: Conditioned) -> Associations:
     augmented = conditioned.augmented
     born = np.concatenate([augmented.state.track_id, [UNASSIGNED]])[augmented.birth_track]
     best = ranked.hypotheses
-    return Associations(_ids(augmented.state, best.track), best.weight, born)
+    return _associations(augmented.state, best, born, conditioned.nis, conditioned.nis_dof)
 
 
-def _ids(state: FilterState, track: IntArray) -> IntArray:
-    """The ids that rows of the association problem stand for."""
+def _associations(
+    state: FilterState, best: hypotheses.Hypotheses, born: IntArray, nis: float, nis_dof: int
+) -> Associations:
     row_ids = np.concatenate([[BS_ID], state.track_id, [UNASSIGNED]])  # UNASSIGNED is the last one
-    return np.asarray(row_ids[track])
+    return Associations(
+        np.asarray(row_ids[best.track]), best.weight, born, nis, nis_dof, best.log_evidence
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,20 @@ class Outcomes:
 
     existence: FloatArray
     type_weight: FloatArray
+
+
+class Updated(NamedTuple):
+    """The joint vector under each of H hypotheses.
+
+    Attributes:
+        means: (H, n).
+        covariances: (H, n, n).
+        nis: (H,) normalised innovation squared of all paths that are given away, jointly.
+    """
+
+    means: FloatArray
+    covariances: FloatArray
+    nis: FloatArray
 
 
 @dataclass(frozen=True)
@@ -82,11 +97,8 @@ def newborn(
 
 def condition(
     state: FilterState, observed: Observed, evidence: Evidence, hypotheses: Hypotheses
-) -> tuple[FloatArray, FloatArray]:
+) -> Updated:
     """One joint EKF update of [s; q_1 ... q_C] per hypothesis.
-
-    Returns:
-        (H, n) means and (H, n, n) covariances.
 
     Raises:
         LinAlgError: an innovation's covariance is not positive definite.
@@ -97,7 +109,7 @@ def condition(
     agree = (source == source[:1]).sum(axis=0)
     path_order = np.argsort(-agree, kind="stable")
     row_order = np.lexsort(source[:, path_order[::-1]].T) if source.size else np.arange(rows)
-    means, covariances = np.empty((rows, n)), np.empty((rows, n, n))
+    updated = Updated(np.empty((rows, n)), np.empty((rows, n, n)), np.empty(rows))
     if not kernels.condition(
         state.mean,
         state.covariance,
@@ -109,11 +121,10 @@ def condition(
         source,
         path_order,
         row_order,
-        means,
-        covariances,
+        *updated,
     ):
         raise np.linalg.LinAlgError("an innovation's covariance is not positive definite")
-    return means, covariances
+    return updated
 
 
 def augment(

@@ -24,7 +24,7 @@ def absorb(
     used: BoolArray,
     noise: FloatArray,
     w: FloatArray,
-) -> bool:
+) -> float:
     """The update by one path, in place; one after the other they are the joint update.
 
     Args:
@@ -40,7 +40,8 @@ def absorb(
         w: (6, n) work space.
 
     Returns:
-        Whether the innovation's covariance was positive definite.
+        v' S^-1 v of the innovation v given the paths before, so that the sum over a hypothesis is
+        that of all its paths jointly; NaN where S is not positive definite.
     """
     n = mean.shape[0]
     column = UE + 3 * (source - 1)
@@ -75,8 +76,9 @@ def absorb(
                     total += w[k, column + j] * b[place[i], j]
             s[k, i] = total
     if not cholesky(s, count):
-        return False
+        return np.nan
     # w becomes L^-1 H P, v becomes L^-1 innovation.
+    distance = 0.0
     for k in range(count):
         for i in range(k):
             factor = s[k, i]
@@ -85,6 +87,7 @@ def absorb(
                 w[k, j] -= factor * w[i, j]
         scale = 1.0 / s[k, k]
         v[k] *= scale
+        distance += v[k] * v[k]
         for j in range(n):
             w[k, j] *= scale
     for i in range(n):
@@ -94,7 +97,7 @@ def absorb(
             if factor != 0.0:
                 for j in range(n):
                     covariance[i, j] -= factor * w[k, j]
-    return True
+    return distance
 
 
 @compiled
@@ -111,6 +114,7 @@ def condition(
     row_order: IntArray,
     means: FloatArray,
     covariances: FloatArray,
+    distances: FloatArray,
 ) -> bool:
     """The update of every hypothesis; hypotheses that begin alike share the work.
 
@@ -130,6 +134,7 @@ def condition(
         row_order: (H,).
         means: (H, n) result.
         covariances: (H, n, n) result.
+        distances: (H,) result: v' S^-1 v of the innovations of all paths that are given away.
 
     Returns:
         Whether all went well.
@@ -149,6 +154,7 @@ def condition(
     depth_kept = np.empty(rows, np.int64)
     mean_kept = np.empty((rows, n))
     covariance_kept = np.empty((rows, n, n))
+    distance_kept = np.empty(rows)
     kept = 0
     for place in range(rows):
         row = row_order[place]
@@ -156,11 +162,13 @@ def condition(
         if place == 0:
             means[row] = mean
             covariances[row] = covariance
+            distances[row] = 0.0
         else:
             while depth_kept[kept - 1] > start:
                 kept -= 1
             means[row] = mean_kept[kept - 1]
             covariances[row] = covariance_kept[kept - 1]
+            distances[row] = distance_kept[kept - 1]
         for depth in range(start, paths + 1):
             parts = False
             for later in range(place + 1, rows):
@@ -172,13 +180,16 @@ def condition(
             if parts and (place == 0 or depth > start or kept == 0):
                 mean_kept[kept] = means[row]
                 covariance_kept[kept] = covariances[row]
+                distance_kept[kept] = distances[row]
                 depth_kept[kept] = depth
                 kept += 1
             if depth == paths:
                 break
             path = path_order[depth]
             m = source[row, path]
-            if m >= 0 and not absorb(
+            if m < 0:
+                continue
+            distances[row] += absorb(
                 means[row],
                 covariances[row],
                 mean,
@@ -189,7 +200,8 @@ def condition(
                 used[path],
                 noise[path],
                 w,
-            ):
+            )
+            if not distances[row] >= 0.0:
                 return False
     return True
 

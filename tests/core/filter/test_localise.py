@@ -91,7 +91,8 @@ def test_the_update_is_schmidts(learned: FilterState) -> None:
     mean = state.mean + gain @ np.concatenate(innovation)
 
     one = Hypotheses(best.track[:1], source, np.ones(1), 0.0)
-    after = localised(state, *condition(state, observed, fit, one), np.ones(1), KNOWN)
+    updated = condition(state, observed, fit, one)
+    after = localised(state, updated.means, updated.covariances, np.ones(1), KNOWN)
     np.testing.assert_allclose(after.mean, mean, atol=1e-9)
     np.testing.assert_allclose(after.covariance, joseph, atol=1e-9)
 
@@ -101,7 +102,7 @@ def test_the_merge_over_hypotheses_matches_the_moments(learned: FilterState) -> 
     state = advance(with_map(initial_filter_state(KNOWN), learned, KNOWN), [], KNOWN)
     observed = evidence_module.prepare(snapshot.measurements, KNOWN)
     ranked = rank(state, observed, snapshot.control.speed, KNOWN)
-    means, covariances = condition(state, observed, ranked.evidence, ranked.hypotheses)
+    means, covariances, _ = condition(state, observed, ranked.evidence, ranked.hypotheses)
     assert len(means) > 2
     weight = np.linspace(1.0, 2.0, len(means))
     weight /= weight.sum()

@@ -118,6 +118,25 @@ def test_a_set_judges_the_hypotheses(inputs: Inputs) -> None:
     assert after.weight[0] > 0.5
 
 
+def test_the_associations_speak_of_the_likeliest_hypothesis_and_of_all(inputs: Inputs) -> None:
+    """The innovation is that of the hypothesis that wins, the evidence the sum over all."""
+    measurements, _, speed = inputs[0]
+    right = initial_filter_state(PMBM)
+    wrong = moved(right, [1.0, 0.0, 0.0, 0.0])
+    alone = [
+        step(state, measurements, [], speed, replace(PMBM, density="pmb")).associations
+        for state in (wrong, right)
+    ]
+    prior = np.array([0.2, 0.8])
+    both = mixture_step(Mixture((wrong, right), prior), measurements, [], speed, PMBM).associations
+    assert alone[0].nis != alone[1].nis
+    assert both.log_evidence == pytest.approx(
+        np.logaddexp(*(np.log(prior) + [one.log_evidence for one in alone]))
+    )
+    assert (both.nis, both.nis_dof) == (alone[1].nis, alone[1].nis_dof)
+    assert both.nis_dof > 0
+
+
 def test_moments_of_the_vehicle_are_those_of_a_sample() -> None:
     rng = np.random.default_rng(5)
     states = [moved(initial_filter_state(PMBM), [d, -d, d / 50.0, 2.0 * d]) for d in (0.0, 1.0)]

@@ -102,7 +102,8 @@ class HandWrittenEkf:
         self.mean = moved
         self.covariance = jacobian @ self.covariance @ jacobian.T + self.q
 
-    def update(self, z: FloatArray) -> None:
+    def update(self, z: FloatArray) -> float:
+        """Returns the normalised innovation squared."""
         columns = []
         for offset in 1e-4 * np.eye(4):
             difference = self.h(self.mean + offset) - self.h(self.mean - offset)
@@ -115,6 +116,7 @@ class HandWrittenEkf:
         gain = self.covariance @ jacobian.T @ np.linalg.inv(s)
         self.mean = self.mean + gain @ innovation
         self.covariance = (np.eye(4) - gain @ jacobian) @ self.covariance
+        return float(innovation @ np.linalg.inv(s) @ innovation)
 
 
 @pytest.mark.parametrize("coupling", ["joint", "marginal"])
@@ -132,12 +134,16 @@ def test_with_the_bs_alone_the_filter_is_an_ekf(coupling: str) -> None:
     updates = 0
     for snapshot in simulate(scenario, np.random.default_rng(4)):
         spans = [SPAN] if snapshot.step else []
-        state = step(state, snapshot.measurements, spans, SPEED, parameters).state
+        outcome = step(state, snapshot.measurements, spans, SPEED, parameters)
+        state, said = outcome.state, outcome.associations
         if snapshot.step:
             ekf.predict()
+        nis = 0.0
         if len(snapshot.measurements):
-            ekf.update(snapshot.measurements.values[0])
+            nis = ekf.update(snapshot.measurements.values[0])
             updates += 1
+        assert said.nis == pytest.approx(nis, rel=1e-4)
+        assert said.nis_dof == (DIM if len(snapshot.measurements) else 0)
         difference = state.ue_mean - ekf.mean
         difference[2] = wrap_angle(difference[2])
         np.testing.assert_allclose(difference, 0.0, atol=1e-6)

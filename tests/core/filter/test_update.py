@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.assignment import UNASSIGNED
@@ -103,6 +104,24 @@ def kalman(
     return covariance @ vector, covariance
 
 
+def joint_nis(state: FilterState, observed: Observed, fit: Evidence, source: list[int]) -> float:
+    """v' S^-1 v with all rows of H, and so all of S, in one piece."""
+    rows, noises, innovations = [np.zeros((0, len(state.mean)))], [], [np.zeros(0)]
+    for path, i in enumerate(source):
+        if i == UNASSIGNED:
+            continue
+        has, h = observed.used[path], np.zeros((DIM, len(state.mean)))
+        h[:, :4] = fit.ue_jacobian[i]
+        if i > 0:
+            h[:, 1 + 3 * i : 4 + 3 * i] = fit.landmark_jacobian[i]
+        rows.append(h[has])
+        noises.append(observed.noise[path][np.ix_(has, has)])
+        innovations.append(observed.values[path][has] - h[has] @ state.mean)
+    h, v = np.vstack(rows), np.concatenate(innovations)
+    s = h @ state.covariance @ h.T + block_diag(np.zeros((0, 0)), *noises)
+    return float(v @ np.linalg.solve(s, v))
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_condition_is_the_linear_kalman_filter(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -112,12 +131,13 @@ def test_condition_is_the_linear_kalman_filter(seed: int) -> None:
     observed, fit = linear_problem(rng, state, used)
     source = [[0, 3, UNASSIGNED, 2], [UNASSIGNED, 4, 1, 3], [UNASSIGNED] * 4, [0, 1, 3, 4]]
     ranked = Hypotheses(np.array(source), np.array(source), np.full(4, 0.25), 0.0)
-    means, covariances = condition(state, observed, fit, ranked)
+    means, covariances, nis = condition(state, observed, fit, ranked)
     for row, sources in enumerate(source):
         mean, covariance = kalman(state, observed, fit, sources)
         np.testing.assert_allclose(means[row], mean, rtol=1e-8, atol=1e-8)
         np.testing.assert_allclose(covariances[row], covariance, rtol=1e-8, atol=1e-8)
         assert np.linalg.eigvalsh(covariances[row])[0] > 0.0
+        assert nis[row] == pytest.approx(joint_nis(state, observed, fit, sources), rel=1e-8)
 
 
 def test_condition_with_one_hypothesis_only() -> None:
@@ -125,7 +145,7 @@ def test_condition_with_one_hypothesis_only() -> None:
     state = state_of(rng, [[2]])
     observed, fit = linear_problem(rng, state, np.ones((2, DIM), dtype=bool))
     source = np.array([[1, 0]])
-    means, covariances = condition(
+    means, covariances, _ = condition(
         state,
         observed,
         fit,
@@ -142,7 +162,7 @@ def test_condition_without_any_assignment_is_the_prediction(paths: int) -> None:
     state = state_of(rng, [[2]])
     observed, fit = linear_problem(rng, state, np.ones((paths, DIM), dtype=bool))
     source = np.full((1, paths), UNASSIGNED)
-    means, covariances = condition(
+    means, covariances, _ = condition(
         state,
         observed,
         fit,
