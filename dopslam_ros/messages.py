@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dopslam_ros import topics
-from dopslam_ros.bag import BagTypeError, deserialize
+from dopslam_ros.bag import BagTypeError, deserialize, record_type
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.channel import COMPONENTS, DIM, LandmarkType
 from dopslam_ros.core.filter import LandmarkEstimates
@@ -98,15 +98,11 @@ def make_measurements(
     types: Types, time_ns: int, measurements: MeasurementSet, frames: Frames
 ) -> Any:
     """A ChannelMeasurementSet."""
-    make = types("dopslam_msgs/msg/ChannelMeasurement")
-    paths = [
-        make(
-            **{name: float(v) for name, v in zip(COMPONENTS, row, strict=True)},
-            covariance=np.ascontiguousarray(covariance).reshape(-1),
-            snr_db=float("nan"),
-        )
-        for row, covariance in zip(measurements.values, measurements.covariances, strict=True)
-    ]
+    paths = np.zeros(len(measurements), record_type("dopslam_msgs/msg/ChannelMeasurement"))
+    for name, column in zip(COMPONENTS, measurements.values.T, strict=True):
+        paths[name] = column
+    paths["covariance"] = measurements.covariances.reshape(-1, DIM * DIM)
+    paths["snr_db"] = np.nan
     return types(topics.CHANNEL_MEASUREMENTS.type_name)(
         header=make_header(types, time_ns, frames.base), paths=paths
     )
@@ -197,20 +193,20 @@ def make_map(
     types: Types, time_ns: int, landmarks: LandmarkEstimates, bs: FloatArray, frames: Frames
 ) -> Any:
     """A LandmarkMap: the BS with id 0, then the landmarks."""
-    certain = np.array([1.0, 0.0, 0.0])
-    entries = [_landmark(types, BS_ID, LandmarkType.BS, certain, 1.0, bs, np.zeros((3, 3)))]
-    entries += [
-        _landmark(types, *row)
-        for row in zip(
-            landmarks.ids,
-            landmarks.types,
-            landmarks.type_probabilities,
-            landmarks.existence,
-            landmarks.positions,
-            landmarks.covariances,
-            strict=True,
-        )
-    ]
+    entries = np.zeros(1 + len(landmarks.ids), record_type("dopslam_msgs/msg/Landmark"))
+    # The place of the BS is known: no covariance.
+    for name, of_bs, of_others in (
+        ("id", BS_ID, landmarks.ids),
+        ("type", LandmarkType.BS, landmarks.types),
+        ("type_probabilities", (1.0, 0.0, 0.0), landmarks.type_probabilities),
+        ("existence_probability", 1.0, landmarks.existence),
+        ("covariance", 0.0, landmarks.covariances.reshape(-1, 9)),
+    ):
+        entries[name][0] = of_bs
+        entries[name][1:] = of_others
+    for number, name in enumerate("xyz"):
+        entries["position"][name][0] = bs[number]
+        entries["position"][name][1:] = landmarks.positions[:, number]
     return types(topics.LANDMARKS.type_name)(
         header=make_header(types, time_ns, frames.map), landmarks=entries
     )
@@ -231,8 +227,10 @@ def true_landmarks(positions: FloatArray, kinds: IntArray) -> LandmarkEstimates:
 
 def make_bounds(types: Types, output: BoundsOutput, frames: Frames) -> Any:
     """An ErrorBounds."""
-    make = types("dopslam_msgs/msg/LandmarkBound")
     full, plain = output.with_doppler, output.without_doppler
+    landmarks = np.zeros(len(output.ids), record_type("dopslam_msgs/msg/LandmarkBound"))
+    landmarks["id"], landmarks["type"] = output.ids, output.types
+    landmarks["leb"], landmarks["leb_without_doppler"] = full.leb, plain.leb
     return types(topics.BOUNDS.type_name)(
         header=make_header(types, output.stamp_ns, frames.map),
         peb=full.peb,
@@ -241,12 +239,7 @@ def make_bounds(types: Types, output: BoundsOutput, frames: Frames) -> Any:
         peb_without_doppler=plain.peb,
         heb_without_doppler=plain.heb,
         ceb_without_doppler=plain.ceb,
-        landmarks=[
-            make(id=int(i), type=int(kind), leb=float(leb), leb_without_doppler=float(other))
-            for i, kind, leb, other in zip(
-                output.ids, output.types, full.leb, plain.leb, strict=True
-            )
-        ],
+        landmarks=landmarks,
     )
 
 
@@ -277,25 +270,6 @@ def make_diagnostics(
     )
     return types(topics.DIAGNOSTICS.type_name)(
         header=make_header(types, time_ns, ""), status=[status]
-    )
-
-
-def _landmark(
-    types: Types,
-    number: Any,
-    kind: Any,
-    probabilities: FloatArray,
-    existence: Any,
-    position: FloatArray,
-    covariance: FloatArray,
-) -> Any:
-    return types("dopslam_msgs/msg/Landmark")(
-        id=int(number),
-        type=int(kind),
-        type_probabilities=np.ascontiguousarray(probabilities),
-        existence_probability=float(existence),
-        position=make_point(types, position),
-        covariance=np.ascontiguousarray(covariance).reshape(-1),
     )
 
 

@@ -40,6 +40,7 @@ from dopslam_ros.messages import (
 BS = np.array([0.0, 0.0, 40.0])
 VA, SP = int(LandmarkType.VA), int(LandmarkType.SP)
 ADD, DELETE = 0, 2
+MAP = topics.LANDMARKS.type_name
 
 
 def landmarks(*rows: tuple[int, int], seed: int = 0) -> LandmarkEstimates:
@@ -248,7 +249,8 @@ def test_states_maps_and_controls_survive_the_passage() -> None:
     after = read_ue_state(state)
     assert np.array_equal(after[0], mean) and np.array_equal(after[1], root @ root.T)
     estimates = landmarks((3, VA), (7, SP))
-    arrays = read_map(make_map(message_class, 5, estimates, BS, Frames()))
+    written = serialize(make_map(message_class, 5, estimates, BS, Frames()), MAP)
+    arrays = read_map(deserialize(written, MAP))
     assert arrays.ids.tolist() == [0, 3, 7]
     assert arrays.types.tolist() == [LandmarkType.BS, VA, SP]
     assert np.array_equal(arrays.positions, np.vstack([BS, estimates.positions]))

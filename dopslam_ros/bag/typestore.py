@@ -15,14 +15,17 @@ from functools import cache
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from dopslam_ros.bag import cdr
 from dopslam_ros.bag.errors import BagTypeError
 
 PACKAGE = "dopslam_msgs"
 
 _SOURCE_TREE = Path(__file__).resolve().parents[2] / "msg_defs" / "msg"
+_ENCAPSULATION = b"\0\1\0\0"  # CDR, little-endian
 _SEPARATOR = "=" * 80
 _TYPE_NAME = re.compile(r"(\w+)/(?:msg/)?(\w+)")
 _FIELD_TYPE = re.compile(r"^[ \t]*([A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?:\[[^\]]*\])?[ \t]+\w", re.M)
@@ -64,18 +67,37 @@ def serialize(message: object, type_name: str) -> bytes:
     does: a subscriber that takes raw bytes gets exactly these.
 
     Args:
-        message: Object of ``message_class(type_name)``.
+        message: Object of ``message_class(type_name)``. A list of messages of fixed size in it may
+            be an array of ``record_type`` instead.
         type_name: Such as ``nav_msgs/msg/Odometry``.
 
     Raises:
         BagTypeError: The type is unknown or the message does not fit it.
     """
     message_class(type_name)
+    parts = [_ENCAPSULATION]
     try:
-        payload = bytes(typestore().serialize_cdr(message, type_name, little_endian=True))
-    except Exception as error:  # the library raises whatever the field's value provokes
+        size = cdr.encoder(typestore(), type_name)(message, parts, 0)
+    except Exception as error:  # whatever the field's value provokes
         raise BagTypeError(f"this message is no {type_name}: {error!r}") from error
-    return payload + bytes(-len(payload) % 4)
+    parts.append(bytes(-size % 4))
+    return b"".join(parts)
+
+
+def record_type(type_name: str) -> np.dtype[np.void]:
+    """Structured type of the arrays that ``serialize`` takes in the place of lists of messages.
+
+    Args:
+        type_name: A type of fixed size, such as ``dopslam_msgs/msg/Landmark``.
+
+    Raises:
+        BagTypeError: The type is unknown or has no fixed size.
+    """
+    message_class(type_name)
+    try:
+        return cdr.record_type(typestore(), type_name)
+    except ValueError as error:
+        raise BagTypeError(str(error)) from error
 
 
 def deserialize(payload: bytes, type_name: str) -> object:
