@@ -6,7 +6,7 @@ PYTHON ?=
 RATE ?=
 BIN := .venv/bin
 
-.PHONY: help setup demo test lint colcon clean
+.PHONY: help setup browser demo test lint colcon clean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1	\2/' | expand -t 16
@@ -17,8 +17,11 @@ setup: ## make .venv: ROS 2 Jazzy (sourced, or from wheels), messages, this pack
 demo: setup ## run the demo (RATE: times real time)
 	@$(BIN)/dopslam demo $(if $(RATE),--rate $(RATE))
 
-test: setup ## run the tests
+test: setup browser ## run the tests
 	@$(BIN)/python -m pytest
+
+browser: ## install Chromium for the tests of pages, where root has apt-get
+	@python3 tools/browser.py
 
 lint: setup ## check style and types
 	@$(BIN)/python -m ruff check .

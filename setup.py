@@ -32,7 +32,9 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.13",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "scenarios/*.yaml", "published/*.json"]},
+    package_data={
+        NAME: ["py.typed", "scenarios/*.yaml", "published/*.json", "report/assets/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -45,6 +47,7 @@ setup(
         "numba>=0.58,<1",
         "PyYAML>=6.0,<7",
         "matplotlib>=3.6,<4",
+        "plotly>=5.15,<8",
         "tqdm>=4.60,<5",
         "rosbags>=0.11.9,<0.12",
         "mcap>=1.5,<2",
@@ -59,6 +62,7 @@ setup(
             "stonesoup>=1.4,<2",
             "mypy>=1.10,<3",
             "ruff>=0.6,<1",
+            "selenium>=4.15,<5",
             "types-PyYAML>=6.0,<7",
             "distributed>=2024.1,<2027",
             "threadpoolctl>=3.1,<4",

@@ -36,6 +36,7 @@ from dopslam_ros.options import (
     write_json,
 )
 from dopslam_ros.published import published
+from dopslam_ros.report import command as reporting
 from dopslam_ros.study import command as study
 from dopslam_ros.study.results import load_results
 
@@ -45,6 +46,7 @@ EXAMPLES = {
     "demo": "dopslam demo --rate 5",
     "simulate": "dopslam simulate --scenario paper --seed 7 --out runs/sim7",
     "replay": "dopslam replay bags/paper --json result.json --param gamma=1",
+    "report": "dopslam report bags/paper --out paper.html",
     "bounds": "dopslam bounds --sigma-d 0.1 0.5",
     "study": "dopslam study --filters joint marginal --doppler 0.1 none --out runs/study",
     "figures": "dopslam figures runs/study --out runs/figures",
@@ -114,6 +116,9 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--picture", type=Path, help="file (.png, .svg) of track, map and errors")
     add_settings(sub)
     add_json(sub)
+
+    sub = command("report", reporting.report, "a run as one page for the browser, map over time")
+    reporting.add_report_arguments(sub)
 
     sub = command("bounds", _bounds, "error bounds at the last step, for several Doppler noises")
     add_scenario(sub, "paper_bounds")
