@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -70,6 +70,29 @@ class Sequencer(Generic[Item]):
     def pending(self) -> int:
         """How many items wait."""
         return len(self._items)
+
+    @property
+    def newest_ns(self) -> int | None:
+        """The stamp of the newest item that was added."""
+        return self._item_clock.newest_ns
+
+    @property
+    def controls(self) -> tuple[tuple[int, Control], ...]:
+        """The controls that items to come depend on, with their stamps [ns]."""
+        return tuple(zip(self._control_stamps, self._controls, strict=True))
+
+    def go_on(self, last_ns: int | None, controls: Sequence[tuple[int, Control]]) -> None:
+        """A new one goes on as another did that had released the item of ``last_ns``.
+
+        Args:
+            last_ns: the stamp of that item, or None before the first.
+            controls: what the other one had as ``controls``.
+        """
+        self._last_ns = self._item_clock.newest_ns = last_ns
+        self._control_stamps = [stamp for stamp, _ in controls]
+        self._controls = [control for _, control in controls]
+        if controls:
+            self._control_clock.newest_ns = controls[-1][0]
 
     def add_control(self, stamp_ns: int, speed: float, turn_rate: float) -> None:
         """A control, valid from its stamp until the next.
@@ -140,12 +163,12 @@ class _StampClock:
     """Stamps of one topic must increase; a single one from far ahead must not lock out the rest."""
 
     def __init__(self) -> None:
-        self._newest_ns: int | None = None
+        self.newest_ns: int | None = None
         self._suspect_ns: int | None = None
 
     def accept(self, stamp_ns: int, backward: str, duplicate: str) -> None:
         """Takes a stamp or raises Refused, with one of the two reasons or ``jump_ahead``."""
-        newest, suspect = self._newest_ns, self._suspect_ns
+        newest, suspect = self.newest_ns, self._suspect_ns
         if newest is not None and stamp_ns <= newest:
             raise Refused(
                 duplicate if stamp_ns == newest else backward,
@@ -161,7 +184,7 @@ class _StampClock:
                     f"stamp {_seconds(stamp_ns)} is more than {_seconds(LARGEST_JUMP_NS)} ahead of"
                     f" {_seconds(newest)}: believed when the next one confirms it",
                 )
-        self._newest_ns, self._suspect_ns = stamp_ns, None
+        self.newest_ns, self._suspect_ns = stamp_ns, None
 
 
 _UNKNOWN = Control(0.0, 0.0)

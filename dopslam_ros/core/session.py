@@ -28,15 +28,15 @@ from dopslam_ros.core.filter import (
     FilterParameters,
     LandmarkEstimates,
     Mixture,
-    initial_mixture,
     landmarks_of,
     mixture_step,
 )
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import OnlineParameters, detection_probabilities, with_doppler_std
-from dopslam_ros.core.motion import Control, ControlSpan
+from dopslam_ros.core.motion import Control
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.core.sequence import Sequencer, Timed
+from dopslam_ros.core.steering import SteeredFilter
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class FilterOutput:
         return landmarks_of(self.state, self.parameters)
 
 
-class FilterSession:
+class FilterSession(SteeredFilter):
     """The EK-PMB filter fed with measurement sets and controls.
 
     Attributes:
@@ -75,21 +75,8 @@ class FilterSession:
     """
 
     def __init__(self, parameters: FilterParameters) -> None:
-        self.parameters = parameters
+        super().__init__(parameters)
         self.problems: Counter[str] = Counter()
-        self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters.control_wait)
-        self._state = initial_mixture(parameters)
-        self._owed: tuple[ControlSpan, ...] = ()
-
-    @property
-    def state(self) -> Mixture:
-        """The density after the last snapshot processed."""
-        return self._state
-
-    @property
-    def pending(self) -> int:
-        """Sets that wait for their control."""
-        return self._sequencer.pending
 
     def add_control(self, stamp_ns: int, speed: float, turn_rate: float) -> Iterator[FilterOutput]:
         """A control; yields the results it was waited for.
@@ -108,6 +95,7 @@ class FilterSession:
         Raises:
             Refused: the set cannot be used.
         """
+        self._pauses.check(stamp_ns)
         self._sequencer.add(stamp_ns, measurements)
         return self._process(self._sequencer.ready())
 
@@ -117,7 +105,9 @@ class FilterSession:
 
     def _process(self, due: Iterable[Timed[MeasurementSet]]) -> Iterator[FilterOutput]:
         for timed in due:
+            self._do_scheduled(timed.stamp_ns)
             output = self._step(timed)
+            self._last_ns = timed.stamp_ns
             if output is not None:
                 yield output
 
@@ -130,7 +120,8 @@ class FilterSession:
         measurements = timed.item if timed.control is not None else _without_doppler(timed.item)
         control = timed.control or Control(0.0, 0.0)
         # Owed until a step succeeds: whatever goes wrong below, the motion is not forgotten.
-        self._owed = spans = self._owed + timed.spans
+        self._owed = spans = () if self._anew else self._owed + timed.spans
+        self._anew = False
         try:
             result = mixture_step(self._state, measurements, spans, control.speed, self.parameters)
         except np.linalg.LinAlgError:

@@ -127,7 +127,8 @@ def _sleepers(state: FilterState, components: IntArray, reach: FloatArray) -> Sl
     own = block_indices(UE, components, 3).ravel()
     cross = state.covariance[own][:, index]
     within = state.covariance[np.ix_(index, index)]
-    gain = np.asarray(np.linalg.solve(within, cross.T), np.float64).T
+    # In memory as a file gives it back: products round otherwise in another order.
+    gain = np.ascontiguousarray(np.linalg.solve(within, cross.T).T, np.float64)
     covariance = state.placement_covariances[components]
     explained = gain.reshape(count, 3, -1) @ np.swapaxes(cross.reshape(count, 3, -1), 1, 2)
     track = state.component_track[components]
