@@ -43,7 +43,7 @@ class Section(NamedTuple):
 
 _SIZES = (("position", "Position", "m"), ("heading", "Heading", "deg"), ("clock", "Clock", "m"))
 _PARTS = (
-    ("distance", "GOSPA", "$estimate", "solid", 2.0),
+    ("distance", "GOSPA", "$halo", "solid", 5.0),
     ("localisation", "localisation", "$bound", "solid", 1.4),
     ("missed", "missed", "$sp", "dash", 1.4),
     ("false", "false", "$new", "dot", 1.8),
@@ -64,8 +64,14 @@ def sections(has_truth: bool, has_bounds: bool) -> list[Section]:
         Section(
             "accuracy",
             "Error against bound",
-            "The bound is the least error any estimator can have on this drive. Over a run the"
-            " error should scatter about it, and the filter's own sigma lie on it.",
+            "The bound is the least error any estimator can have on this drive."
+            + (
+                " Over a run the error should scatter about it, and the filter's own sigma lie on"
+                " it."
+                if has_truth
+                else " Errors need the truth, which is not in this bag: the filter's own sigma"
+                " should lie on the bound, here evaluated at the estimate."
+            ),
             [_size(*size, has_truth, has_bounds) for size in _SIZES],
         ),
         Section(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from importlib import resources
 from typing import Any
@@ -14,12 +14,14 @@ from dopslam_ros.report.encoding import packed, script_digest, script_json
 # Light and dark. Those of landmarks and sources are Okabe and Ito's, lighter where it is dark.
 PALETTE = {
     "text": ("#1c2430", "#e4e9f0"),
+    "soft": ("#5a6675", "#9aa7b6"),
     "card": ("#ffffff", "#19202a"),
     "grid": ("#e6eaf0", "#28323f"),
     "axis": ("#9aa5b3", "#55626f"),
     "band": ("rgba(120,130,145,0.18)", "rgba(150,165,185,0.18)"),
     "truth": ("#4a4f57", "#c3cad3"),
     "estimate": ("#c03030", "#ff7b72"),
+    "halo": ("#e8a8a8", "#8a4743"),
     "bound": ("#2060a0", "#6cb2f0"),
     "los": ("#009e73", "#2fc89b"),
     "va": ("#0072b2", "#56b4e9"),
@@ -112,16 +114,47 @@ def section(found: Section, has_truth: bool = True) -> str:
     if found.needs_truth and not has_truth:
         parts.append('<p class="notice">This needs the truth, which is not in this bag.</p>')
     else:
-        parts += [chart(one) for one in found.charts]
+        parts += _charts(found)
     return card(found.key, "".join(parts))
 
 
-def chart(found: Chart) -> str:
-    """The place of a chart under its title."""
-    return (
-        f'<h3>{escape(found.title)}</h3><div class="plot"><div id="{escape(found.key)}"'
-        f' role="img" aria-label="{escape(found.title)}"></div></div>'
-    )
+def _charts(found: Section) -> Iterator[str]:
+    """The places of the charts; a title or a key that stands above already is not said again."""
+    key = ""
+    for chart in found.charts:
+        if chart.title != found.title:
+            yield f"<h3>{escape(chart.title)}</h3>"
+        before, key = key, _key(chart)
+        yield key if key != before else ""
+        yield (
+            f'<div class="plot"><div id="{escape(chart.key)}" role="img"'
+            f' aria-label="{escape(chart.title)}"></div></div>'
+        )
+
+
+def _key(chart: Chart) -> str:
+    """What the lines mean; of a single line the axis says it."""
+    named = [trace for trace in chart.traces if trace.get("name")]
+    if len(named) < 2:
+        return ""
+    return '<div class="key">{}</div>'.format("".join(map(_key_entry, named)))
+
+
+def _key_entry(trace: Mapping[str, Any]) -> str:
+    line = trace.get("line", {})
+    filled = trace["type"] == "bar" or "fillcolor" in trace
+    colour = trace.get("fillcolor") or trace.get("marker", line)["color"]
+    kind = "box" if filled else DASHES.get(line.get("dash", "solid"), "")
+    return f"<span>{swatch(colour.removeprefix('$'), kind)}{escape(trace['name'])}</span>"
+
+
+# Names of swatches by those of plotly's dashes.
+DASHES = {"dash": "dashed", "dot": "dotted"}
+
+
+def swatch(colour: str, kind: str = "") -> str:
+    """A little piece of a colour of the palette."""
+    return f'<i class="swatch {kind}" data-colour="{escape(colour)}"></i>'
 
 
 def card(key: str, content: str) -> str:
@@ -135,12 +168,12 @@ def notice(text: str) -> str:
 
 
 def tiles(numbers: Iterable[tuple[str, str, str]]) -> str:
-    """The numbers that say most: value, small print behind it, what it is."""
+    """The numbers that say most: value, what it is, what to compare it with."""
     return '<div class="tiles">{}</div>'.format(
         "".join(
-            f'<div class="card tile"><b>{escape(value)} <small>{escape(small)}</small></b>'
-            f"<span>{escape(name)}</span></div>"
-            for value, small, name in numbers
+            f'<div class="card tile"><b>{escape(value)}</b><span>{escape(name)}</span>'
+            f"<small>{escape(small)}</small></div>"
+            for value, name, small in numbers
         )
     )
 

@@ -9,13 +9,15 @@ from html import escape
 import numpy as np
 from scipy.stats import chi2
 
+from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.evaluation import summarise
 from dopslam_ros.core.parameters import declarations
 from dopslam_ros.filter_messages import ELLIPSOID_PROBABILITY
 from dopslam_ros.replay import Replay
 from dopslam_ros.report.charts import SOURCE_COLOURS, Section, sections
-from dopslam_ros.report.page import card, notice, page, section, table, tiles
+from dopslam_ros.report.page import DASHES as SWATCHES
+from dopslam_ros.report.page import card, notice, page, section, swatch, table, tiles
 from dopslam_ros.report.recorded import Reports
 from dopslam_ros.report.scene import NAMES, Source, extent_of, scene_of
 from dopslam_ros.report.series import Series, series_of
@@ -23,7 +25,7 @@ from dopslam_ros.report.series import Series, series_of
 MAGNIFICATIONS = (1, 3, 10, 30)
 # Ellipses are magnified until they are at least so large, over the size of the scene.
 VISIBLE = 0.01
-DASHES = {Source.NEW: "dash", Source.CLUTTER: "dot"}
+RAYS = {Source.NEW: "dash", Source.CLUTTER: "dot"}
 
 
 class NothingToShow(ValueError):
@@ -52,11 +54,12 @@ def run_page(run: Replay, name: str, recorded: Reports) -> str:
     magnified = _magnification(scene, extent)
     data = {
         "xTitle": "time [s]",
+        "xRange": _time_range(series["time"]),
         "extent": extent,
         "bs": run.parameters.bs[:2].tolist(),
         "truth": _true_landmarks(run),
         "sources": [
-            {"name": NAMES[s], "colour": SOURCE_COLOURS[s], "dash": DASHES.get(s, "solid")}
+            {"name": NAMES[s], "colour": SOURCE_COLOURS[s], "dash": RAYS.get(s, "solid")}
             for s in Source
         ],
         "deviations": math.sqrt(float(chi2.ppf(ELLIPSOID_PROBABILITY, 2))),
@@ -67,7 +70,13 @@ def run_page(run: Replay, name: str, recorded: Reports) -> str:
     return page(f"{name} – run", body, data, {**scene, **series}, charts, SCRIPTS)
 
 
-SCRIPTS = ("charts.js", "player.js")
+SCRIPTS = ("charts.js", "map.js", "player.js")
+
+
+def _time_range(time: FloatArray) -> list[float]:
+    """Half a step more than the run at both ends, for bars."""
+    margin = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.5
+    return [float(time[0]) - margin, float(time[-1]) + margin]
 
 
 def _counts(scene: Series, steps: int) -> Series:
@@ -122,8 +131,8 @@ def _body(
     steps, seconds = len(run.outputs), float(series["time"][-1])
     stage = card("stage", _stage(steps, has_truth, bool(run.bounds), magnified))
     return (
-        f"<header><h1>{escape(name)}</h1><p>{steps} steps in {seconds:.1f} s, filtered anew by"
-        ' this report</p><button id="theme" type="button">Dark</button></header>'
+        f'<header><h1>{escape(name)}</h1><button id="theme" type="button">Dark</button>'
+        f"<p>{steps} steps in {seconds:.1f} s, filtered anew by this report</p></header>"
         f"<main>{''.join(notices)}{tiles(_numbers(run))}"
         f'<div class="columns"><div class="stage">{stage}</div><div class="charts">'
         f"{''.join(section(one, has_truth) for one in shown)}"
@@ -134,6 +143,7 @@ def _body(
 
 
 def _numbers(run: Replay) -> Iterable[tuple[str, str, str]]:
+    """Value with its unit, what it is, and what to compare it with."""
     summary = summarise(run.records())
     for ours, bound, unit, name in (
         ("position_rmse", "bound_position_rms", "m", "position RMSE"),
@@ -141,17 +151,17 @@ def _numbers(run: Replay) -> Iterable[tuple[str, str, str]]:
         ("clock_bias_rmse", "bound_clock_rms", "m", "clock bias RMSE"),
     ):
         if ours in summary:
-            ratio = f", {summary[ours] / summary[bound]:.2f} × bound" if bound in summary else ""
-            yield f"{summary[ours]:.3f}", unit + ratio, name
+            ratio = f"{summary[ours] / summary[bound]:.2f} × bound" if bound in summary else ""
+            yield f"{summary[ours]:.3f} {unit}", name, ratio
     if "nees_mean" in summary:
-        yield f"{summary['nees_mean']:.2f}", "ideal 4", "mean NEES"
+        yield f"{summary['nees_mean']:.2f}", "mean NEES", "ideal 4"
     for key, name in (("gospa_va", "walls"), ("gospa_sp", "objects")):
         if key in summary:
-            yield f"{np.mean(summary[key][-10:]):.2f}", "m", f"GOSPA of {name}, last 10 steps"
-    landmarks = run.outputs[-1].landmarks
-    yield str(len(landmarks.ids)), "", "landmarks at the end"
-    yield f"{summary['step_ms_p50']:.2f}", "ms", "median time of a step"
-    yield str(sum(run.problems.values())), "", "messages refused, other trouble"
+            yield f"{np.mean(summary[key][-10:]):.2f} m", f"GOSPA, {name}", "last 10 steps"
+    yield str(len(run.outputs[-1].landmarks.ids)), "landmarks", "at the end"
+    slowest = f"99 %: {summary['step_ms_p99']:.2f} ms"
+    yield f"{summary['step_ms_p50']:.2f} ms", "time of a step", slowest
+    yield str(sum(run.problems.values())), "refused", "and other trouble"
 
 
 def _stage(steps: int, has_truth: bool, has_bounds: bool, magnified: int) -> str:
@@ -184,11 +194,13 @@ def _stage(steps: int, has_truth: bool, has_bounds: bool, magnified: int) -> str
         " hollow until they are reported; ellipses hold the truth with"
         f" {ELLIPSOID_PROBABILITY:.0%}.</p>"
         '<div id="map" role="img" aria-label="map"></div>'
-        '<div class="player"><button id="play" type="button" aria-pressed="false">Play</button>'
+        '<div class="controls"><div class="player">'
+        '<button id="play" type="button" aria-pressed="false">Play</button>'
         f'<input id="step" type="range" min="0" max="{steps - 1}" value="0" aria-label="step">'
-        f'<output id="now"></output><select id="speed" aria-label="speed">{speeds}</select>'
+        '<output id="now"></output></div><div class="options">'
+        f'<select id="speed" aria-label="speed">{speeds}</select>'
         f'<select id="magnified" aria-label="size of ellipses">{options}</select>'
-        '<button id="fit" type="button">Fit</button></div>'
+        '<button id="fit" type="button">Fit</button></div></div>'
         f'<div id="layers">{_layers(has_truth)}</div>'
         '<div class="details"><div><h3>Vehicle</h3><p id="pose"></p>'
         '<table id="numbers"><thead><tr><th></th>'
@@ -201,22 +213,27 @@ def _stage(steps: int, has_truth: bool, has_bounds: bool, magnified: int) -> str
 
 def _layers(has_truth: bool) -> str:
     """What is on the map, with boxes to hide it."""
-    layers = [("truth", "truth", "truth", "")] if has_truth else []
-    layers += [
+    things = [("truth", "truth", "truth", "")] if has_truth else []
+    things += [
         ("estimate", "estimate", "estimate", ""),
-        ("ellipses", "ellipses", "text", ""),
+        ("ellipses", "ellipses", "soft", "ring"),
         ("bs", "base station", "text", "up"),
         ("va", "wall (VA)", "va", "box"),
         ("sp", "object (SP)", "sp", "ball"),
     ]
-    layers += [
-        (f"ray{s}", f"path: {NAMES[s]}", SOURCE_COLOURS[s][1:], "dotted" if s in DASHES else "")
+    paths = [
+        (f"ray{s}", NAMES[s], SOURCE_COLOURS[s][1:], SWATCHES.get(RAYS.get(s, ""), ""))
         for s in Source
     ]
     return "".join(
-        f'<label><input type="checkbox" value="{group}" checked><i class="swatch {kind}"'
-        f' data-colour="{colour}"></i>{escape(text)}</label>'
-        for group, text, colour, kind in layers
+        f'<div role="group" aria-label="{title}"><b>{title}</b>'
+        + "".join(
+            f'<label><input type="checkbox" value="{group}" checked>{swatch(colour, kind)}'
+            f"{escape(text)}</label>"
+            for group, text, colour, kind in layers
+        )
+        + "</div>"
+        for title, layers in (("Map", things), ("Paths", paths))
     )
 
 

@@ -93,12 +93,8 @@ def _gospa(records: Sequence[StepRecord]) -> Series:
 
 def _consistency(outputs: Sequence[FilterOutput], records: Sequence[StepRecord]) -> Series:
     nees = np.array([record.nees for record in records], dtype=np.float64)
-    nis = np.array(
-        [getattr(output.associations, "nis", np.nan) for output in outputs], dtype=np.float64
-    )
-    freedom = np.array(
-        [getattr(output.associations, "nis_dof", 0) for output in outputs], dtype=np.float64
-    )
+    nis = np.array([output.associations.nis for output in outputs], dtype=np.float64)
+    freedom = np.array([output.associations.nis_dof for output in outputs], dtype=np.float64)
     measured = freedom > 0
     freedom = np.where(measured, freedom, np.nan)
     low, high = band(UE_DIMENSION)

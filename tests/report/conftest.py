@@ -46,11 +46,14 @@ class Browser:
         self.driver.set_script_timeout(120)
 
     def open(self, page: Path) -> None:
-        """Loads a page; what was seen before is forgotten."""
+        """Loads a page until all of it is drawn; what was seen before is forgotten."""
         self.driver.get("about:blank")
         self.complaints()
         self.requests()
         self.driver.get(page.as_uri())
+        self.wait(
+            "(function look() { document.body.dataset.ready ? done() : setTimeout(look, 10) })()"
+        )
 
     def run(self, script: str, *arguments: Any) -> Any:
         """What a piece of JavaScript returns."""

@@ -58,25 +58,22 @@ const charts = [];
 function chartLayout(spec) {
   const layout = resolved(spec.layout);
   return {
-    ...commonLayout(), hovermode: 'x unified', showlegend: true, bargap: 0,
-    margin: {l: 56, r: 14, t: 6, b: 40}, dragmode: 'zoom',
-    legend: {orientation: 'h', x: 0, xanchor: 'left', y: 1.02, yanchor: 'bottom',
-      bgcolor: 'rgba(0,0,0,0)', traceorder: 'normal', font: {size: 11.5}},
+    ...commonLayout(), hovermode: 'x unified', showlegend: false, bargap: 0,
+    margin: {l: 56, r: 14, t: 8, b: 40}, dragmode: 'zoom', uirevision: 'kept',
     ...layout,
-    xaxis: axis({title: {text: data.xTitle, standoff: 6}, ...(layout.xaxis || {})}),
+    xaxis: axis({title: {text: data.xTitle, standoff: 6}, range: [...data.xRange],
+      ...(layout.xaxis || {})}),
     yaxis: axis({automargin: false, fixedrange: true, ...(layout.yaxis || {})}),
   };
 }
 
-function drawCharts() {
-  for (const chart of charts) {
-    Plotly.react(chart.plot, resolved(chart.spec.traces), chartLayout(chart.spec),
-      {displayModeBar: false, responsive: true});
-  }
-  moveCursors();
+function drawChart({plot, spec}) {
+  return Plotly.react(plot, resolved(spec.traces), chartLayout(spec),
+    {displayModeBar: false, responsive: true});
 }
 
-function startCharts(onPick) {
+// One after the other, so that the page answers in between.
+async function startCharts(onPick) {
   for (const spec of data.charts) {
     const plot = document.getElementById(spec.key);
     const cursor = document.createElement('div');
@@ -84,12 +81,16 @@ function startCharts(onPick) {
     plot.parentElement.append(cursor);
     charts.push({spec, plot, cursor});
   }
-  drawCharts();
-  for (const {plot} of charts) {
+  for (const chart of charts) {
+    const {plot} = chart;
+    await new Promise((resolve) => setTimeout(resolve));
+    await drawChart(chart);
     plot.on('plotly_click', (event) => onPick && onPick(event.points[0].x));
     plot.on('plotly_relayout', (change) => shareZoom(plot, change));
-    plot.on('plotly_afterplot', moveCursors);
+    plot.on('plotly_afterplot', () => moveCursors());
   }
+  moveCursors();
+  document.body.dataset.ready = 'yes';
 }
 
 // All charts show the same piece of time.
@@ -97,9 +98,10 @@ let sharing = false;
 function shareZoom(source, change) {
   if (sharing || !Object.keys(change).some((key) => key.startsWith('xaxis.'))) return;
   sharing = true;
+  // A double click asks for all of it.
   const {range, autorange} = source.layout.xaxis;
-  const same = autorange ? {'xaxis.autorange': true} : {'xaxis.range': [...range]};
-  const others = charts.filter(({plot}) => plot !== source);
+  const same = {'xaxis.range': [...(autorange ? data.xRange : range)]};
+  const others = charts.filter(({plot}) => autorange || plot !== source);
   Promise.all(others.map(({plot}) => Plotly.relayout(plot, same))).then(() => {
     sharing = false;
     moveCursors();
@@ -125,7 +127,13 @@ function moveCursors(time) {
 // --- light and dark ------------------------------------------------------------------------------
 
 const prefersDark = window.matchMedia('(prefers-color-scheme: dark)');
-const redraws = [drawCharts];
+const redraws = [() => charts.forEach(drawChart), colourSwatches];
+
+function colourSwatches() {
+  for (const swatch of document.querySelectorAll('[data-colour]')) {
+    swatch.style.setProperty('--colour', theme.colour(swatch.dataset.colour));
+  }
+}
 
 function setTheme(name) {
   document.documentElement.dataset.theme = name;
@@ -138,3 +146,4 @@ document.getElementById('theme').textContent = prefersDark.matches ? 'Light' : '
 prefersDark.addEventListener('change', (event) => setTheme(event.matches ? 'dark' : 'light'));
 document.getElementById('theme').addEventListener(
   'click', () => setTheme(theme.name === 'dark' ? 'light' : 'dark'));
+colourSwatches();
