@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from dopslam_ros import __version__
+from dopslam_ros import __version__, mapinfo
 from dopslam_ros.bag import BagError, BagReader, BagWriter
 from dopslam_ros.bag.repair import repair
 from dopslam_ros.bench import command as bench
@@ -37,6 +37,7 @@ from dopslam_ros.options import (
 )
 from dopslam_ros.published import published
 from dopslam_ros.report import command as reporting
+from dopslam_ros.storage import read_saved, write_saved
 from dopslam_ros.study import command as study
 from dopslam_ros.study.results import load_results
 
@@ -47,6 +48,7 @@ EXAMPLES = {
     "simulate": "dopslam simulate --scenario paper --seed 7 --out runs/sim7",
     "replay": "dopslam replay bags/paper --json result.json --param gamma=1",
     "report": "dopslam report bags/paper --out paper.html",
+    "map": "dopslam map ~/.ros/dopslam/hall.dopmap",
     "bounds": "dopslam bounds --sigma-d 0.1 0.5",
     "study": "dopslam study --filters joint marginal --doppler 0.1 none --out runs/study",
     "figures": "dopslam figures runs/study --out runs/figures",
@@ -114,7 +116,13 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("bag", type=Path, help="folder of a bag, or an .mcap file")
     sub.add_argument("--out", type=Path, help="folder of a new bag with the results")
     sub.add_argument("--picture", type=Path, help="file (.png, .svg) of track, map and errors")
+    sub.add_argument("--map", type=Path, metavar="F", help="file of a map to start with")
+    sub.add_argument("--save-map", type=Path, metavar="F", help="file for the map at the end")
     add_settings(sub)
+    add_json(sub)
+
+    sub = command("map", mapinfo.run, "what is in a saved map or snapshot")
+    sub.add_argument("file", type=Path, help="a file that save_map, replay or a filter left")
     add_json(sub)
 
     sub = command("report", reporting.report, "a run as one page for the browser, map over time")
@@ -203,11 +211,14 @@ def _replay(options: Any) -> int:
     reader = BagReader(options.bag)
     progress = partial(with_progress, total=None, description="replay")
     settings = read_settings(options)
+    start_map = None if options.map is None else read_saved(options.map.resolve())
     if options.out is None:
-        run = replay(reader, settings, None, progress)
+        run = replay(reader, settings, None, progress, start_map)
     else:
         with BagWriter(options.out, flush_seconds=None) as writer:
-            run = replay(reader, settings, writer, progress)
+            run = replay(reader, settings, writer, progress, start_map)
+    if options.save_map is not None and run.known_map is not None:
+        write_saved(options.save_map, run.known_map)
     summary = _summary(run)
     _print_summary(summary)
     write_json(options.json, summary)

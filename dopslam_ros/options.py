@@ -70,10 +70,11 @@ def read_settings(options: Any) -> dict[str, Any]:
 
 def check_files(options: Any) -> None:
     """Files that cannot be written are told before the work is done, not after."""
-    for option in ("json", "picture", "markdown"):
+    for option in ("json", "picture", "markdown", "save_map"):
         path: Path | None = getattr(options, option, None)
         if path is not None and (not path.parent.is_dir() or path.is_dir()):
-            raise UsageError(f"--{option} {path}: give a file in a folder that exists")
+            name = option.replace("_", "-")
+            raise UsageError(f"--{name} {path}: give a file in a folder that exists")
         if path is not None and option == "picture" and path.suffix not in (".png", ".svg"):
             raise UsageError(f"--picture {path}: give a name that ends in .png or .svg")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,9 +15,11 @@ from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.bounds import Bounds
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.evaluation import StepRecord, judge_step
+from dopslam_ros.core.events import LOAD_MAP, Event
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import declarations, from_mapping
 from dopslam_ros.core.refusal import Refused
+from dopslam_ros.core.saved import BEFORE_ALL, Saved, SavedError
 from dopslam_ros.core.session import (
     BoundsOutput,
     BoundsSession,
@@ -26,6 +28,7 @@ from dopslam_ros.core.session import (
     WorldState,
 )
 from dopslam_ros.core.study import bounds_parameters_for
+from dopslam_ros.event_messages import make_event, recorded_events
 from dopslam_ros.filter_messages import DrawingParameters, FilterMessages
 from dopslam_ros.messages import (
     Frames,
@@ -57,6 +60,7 @@ class Replay:
         true_map: the true landmarks, if the bag has them.
         problems: how often each kind of input was refused, or other trouble was met.
         damage: what of the bag could not be read, in a sentence.
+        known_map: the map at the end.
     """
 
     parameters: FilterParameters
@@ -66,6 +70,7 @@ class Replay:
     true_map: MapArrays | None = None
     problems: Counter[str] = field(default_factory=Counter)
     damage: str | None = None
+    known_map: Saved | None = None
 
     def records(self) -> list[StepRecord]:
         """Each step judged against the truth, as far as the bag has it."""
@@ -98,6 +103,7 @@ def replay(
     overrides: Mapping[str, object] | None = None,
     writer: BagWriter | None = None,
     progress: Callable[[Iterable[BagMessage]], Iterable[BagMessage]] = iter,
+    start_map: Saved | None = None,
 ) -> Replay:
     """Runs the filter and the bounds over the inputs in a bag.
 
@@ -105,16 +111,19 @@ def replay(
 
     The filter is set as it was when the bag was recorded, if the bag says so, changed by
     ``overrides``. The order of the messages within each topic counts, not how topics interleave.
+    What services did to it while it was recorded (see ``filter_events``) is done again.
 
     Args:
         reader: the bag.
         overrides: filter parameters by name.
         writer: gets the inputs as they are and the outputs anew, or None.
         progress: wraps the iteration over the messages.
+        start_map: a map to start with, in the place of the one the bag was recorded with.
 
     Raises:
         ReplayError: the bag has no measurement sets.
         ParameterError: a parameter is unknown or its value unusable.
+        SavedError: the map does not go with the parameters.
         BagError: the bag cannot be read or written.
     """
     prefix = _prefix(reader)
@@ -136,6 +145,7 @@ def replay(
     if writer is not None:
         _announce(reader, writer, prefix)
         run.write_parameters(reader, settings, overrides or {})
+    run.schedule(recorded_events(reader, prefix, run.result.problems), start_map)
     for message in progress(reader.messages(set(names))):
         run.feed(message, names[message.topic])
     run.finish()
@@ -182,10 +192,30 @@ class _Run:
         except (ValueError, OverflowError, ArithmeticError) as error:
             self.result.problems[type(error).__name__] += 1
 
+    def schedule(self, events: Sequence[Event], start_map: Saved | None) -> None:
+        """What is to be done to the filter; an event that cannot be done again is counted."""
+        if self._writer is not None and (events or start_map is not None):
+            topic = topics.FILTER_EVENTS
+            self._writer.add_topic(self._prefix + topic.name, topic.type_name, qos=[topic.qos])
+        if start_map is not None:
+            events = [e for e in events if e.after_ns != BEFORE_ALL]
+            self._happen(Event(LOAD_MAP, BEFORE_ALL, saved=start_map))
+        for event in events:
+            try:
+                self._happen(event)
+            except SavedError:
+                self.result.problems["event_refused"] += 1
+
+    def _happen(self, event: Event) -> None:
+        self._filter.schedule(event)
+        if self._writer is not None:
+            self._write(topics.FILTER_EVENTS, make_event(message_class, event))
+
     def finish(self) -> None:
         """The end of the inputs."""
         self._filtered(self._filter.flush())
         self._bounded(self._bounds.flush())
+        self.result.known_map = self._filter.known_map()
         self.result.problems.update(self._filter.problems)
 
     def write_parameters(

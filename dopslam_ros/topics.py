@@ -40,6 +40,8 @@ TRUTH_UE = Topic("truth/ue", "dopslam_msgs/msg/UeState")
 TRUTH_LANDMARKS = Topic("truth/landmarks", "dopslam_msgs/msg/LandmarkMap", latched=True, depth=1)
 
 FILTER_PARAMETERS = Topic("filter_parameters", "std_msgs/msg/String", latched=True, depth=1)
+# What services did to the filter; a late subscriber gets the last ones, and a replay needs all.
+FILTER_EVENTS = Topic("filter_events", "dopslam_msgs/msg/FilterEvent", latched=True, depth=20)
 UE_STATE = Topic("ue_state", "dopslam_msgs/msg/UeState")
 UE_POSE = Topic("ue_pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
 ODOMETRY = Topic("odometry", "nav_msgs/msg/Odometry")
@@ -74,7 +76,10 @@ def vehicle_prefixes(recorded: Iterable[str]) -> list[str]:
 def output_names(recorded: Iterable[str]) -> set[str]:
     """Those of the topics recorded that the filter and the bounds of some vehicle had published."""
     prefixes = vehicle_prefixes(recorded)
-    return {DIAGNOSTICS.name} | {prefix + t.name for prefix in prefixes for t in OUTPUTS}
+    return {DIAGNOSTICS.name} | {
+        prefix + t.name for prefix in prefixes for t in (FILTER_EVENTS, *OUTPUTS)
+    }
 
 
+# What every run has; FILTER_EVENTS are recorded too, where something happens.
 RECORDED = (*INPUTS, *OUTPUTS, DIAGNOSTICS)

@@ -308,9 +308,13 @@ def run_live(ros: Ros, bag: Path, scene: Path) -> LiveRun:
     for node in (simulating, filtering, bounding):
         node.publish_diagnostics()
         ros.remove(node)
+
+    def told() -> set[str]:
+        return {s.name for m in listener.messages(topics.DIAGNOSTICS) for s in m.status}
+
     ros.spin_until(
         lambda: (
-            listener.count(topics.DIAGNOSTICS) >= 3
+            told() >= {"/simulator", "/filter", "/bounds"}
             and written(recording) == sum(map(listener.count, topics.RECORDED))
         )
     )

@@ -89,6 +89,11 @@ def encode(saved: Saved) -> list[Buffer]:
     return [prefix, digest.digest(), text, *payload]
 
 
+def to_bytes(saved: Saved) -> bytes:
+    """The whole file."""
+    return b"".join(bytes(piece) for piece in encode(saved))
+
+
 def decode(data: bytes) -> Saved:
     """Reads what ``encode`` has made.
 

@@ -17,10 +17,12 @@ from dopslam_ros.core.warmup import warm_up_filter
 from dopslam_ros.filter_messages import DrawingParameters, FilterMessages
 from dopslam_ros.messages import Frames, make_text, read_control, read_measurements, stamp_ns
 from dopslam_ros.nodes.runtime import DopslamNode, serve
+from dopslam_ros.nodes.steering import Steering
+from dopslam_ros.storage import StorageParameters
 
 
 @dataclass(frozen=True)
-class FilterNodeParameters(DrawingParameters, FilterParameters):
+class FilterNodeParameters(StorageParameters, DrawingParameters, FilterParameters):
     """The filter's settings and the node's own."""
 
     map_frame: str = parameter("map", "Frame of everything that is estimated.")
@@ -46,6 +48,7 @@ class FilterNode(DopslamNode):
         self._outputs[topics.FILTER_PARAMETERS.name].publish(
             make_text(message_class, commented_yaml(p))
         )
+        self._steering = Steering(self, self._session, p)
         self._step_seconds: list[float] = []
         self._sets = 0
         self._idle = False
@@ -82,6 +85,7 @@ class FilterNode(DopslamNode):
             self._step_seconds = [*self._step_seconds[-99:], output.step_seconds]
             for topic, message in self._messages.of(output):
                 self._outputs[topic.name].publish(message)
+            self._steering.keep()
 
     def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
         self.problems.update(self._session.problems)
@@ -99,11 +103,13 @@ class FilterNode(DopslamNode):
                 ("step_ms_median", f"{np.median(steps):.3f}"),
                 ("step_ms_max", f"{steps.max():.3f}"),
                 ("smallest_eigenvalue", f"{smallest:.3e}"),
+                *self._steering.health(),
             ],
         )
 
     def close(self) -> None:
         self._publish(self._session.flush())
+        self._steering.close()
 
 
 def main() -> None:

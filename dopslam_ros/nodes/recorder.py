@@ -57,7 +57,8 @@ class RecorderNode(DopslamNode):
         self._subscribed: set[str] = set()
         self._known: set[str] = set()
         # The controls last: see DopslamNode.joined.
-        for topic in sorted(topics.RECORDED, key=lambda t: t == topics.ODOMETRY_CONTROL):
+        recorded = (topics.FILTER_EVENTS, *topics.RECORDED)
+        for topic in sorted(recorded, key=lambda t: t == topics.ODOMETRY_CONTROL):
             name = self.resolve_topic_name(topic.name)
             self._record(name, topic.type_name, reading_profile(topic))
         self.create_timer(FLUSH_PERIOD, self._flush, clock=STEADY)

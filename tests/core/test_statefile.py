@@ -19,7 +19,7 @@ from dopslam_ros.core.saved import MAP, SNAPSHOT, Saved, SavedError
 from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.core.session import FilterSession
 from dopslam_ros.core.simulator import simulate
-from dopslam_ros.core.statefile import MOST_BYTES, VERSION, decode, encode
+from dopslam_ros.core.statefile import MOST_BYTES, VERSION, decode, to_bytes
 from dopslam_ros.core.study import filter_parameters_for
 
 PREFIX = struct.Struct("<8sIIQ")
@@ -34,10 +34,6 @@ def session_after(scene: str, steps: int, **settings: object) -> FilterSession:
         list(filtering.add_control(s.stamp_ns, s.control.speed, s.control.turn_rate))
         list(filtering.add_measurements(s.stamp_ns, s.measurements))
     return filtering
-
-
-def data_of(saved: Saved) -> bytes:
-    return b"".join(bytes(piece) for piece in encode(saved))
 
 
 def signed(header: Any, payload: bytes, version: int = VERSION) -> bytes:
@@ -73,8 +69,8 @@ def paper() -> Saved:
 def test_everything_comes_back(scene: str, steps: int, settings: dict[str, Any]) -> None:
     filtering = session_after(scene, steps, **settings)
     for saved in (filtering.snapshot(), filtering.known_map()):
-        again = decode(data_of(saved))
-        assert data_of(again) == data_of(saved)
+        again = decode(to_bytes(saved))
+        assert to_bytes(again) == to_bytes(saved)
         assert (again.kind, again.stamp_ns) == (saved.kind, saved.stamp_ns)
         assert (again.controls, again.owed) == (saved.controls, saved.owed)
         assert len(again.mixture.hypotheses) == len(saved.mixture.hypotheses)
@@ -92,18 +88,18 @@ def test_everything_comes_back(scene: str, steps: int, settings: dict[str, Any])
 
 
 def test_every_flipped_bit_is_refused(paper: Saved) -> None:
-    data = bytearray(data_of(paper))
+    data = bytearray(to_bytes(paper))
     for place in range(len(data)):
         for bit in (1, 128) if place > 200 else (1, 2, 4, 8, 16, 32, 64, 128):
             data[place] ^= bit
             with pytest.raises(SavedError):
                 decode(bytes(data))
             data[place] ^= bit
-    assert data_of(decode(bytes(data))) == bytes(data)
+    assert to_bytes(decode(bytes(data))) == bytes(data)
 
 
 def test_every_cut_and_every_addition_is_refused(paper: Saved) -> None:
-    data = data_of(paper)
+    data = to_bytes(paper)
     for size in [*range(0, 300), *range(300, len(data), 97)]:
         with pytest.raises(SavedError, match=r"cut off|no map or snapshot"):
             decode(data[:size])
@@ -113,7 +109,7 @@ def test_every_cut_and_every_addition_is_refused(paper: Saved) -> None:
 
 def test_flips_with_a_right_checksum_are_refused_or_make_a_sound_state(paper: Saved) -> None:
     """Somebody who can count can also sign: nothing but SavedError may come of it."""
-    header, payload = parts(data_of(paper))
+    header, payload = parts(to_bytes(paper))
     text = json.dumps(header).encode()
     rng = np.random.default_rng(11)
     taken = 0
@@ -156,7 +152,7 @@ Change = Callable[[dict[str, Any]], object]
     ],
 )
 def test_a_hostile_header_is_refused(paper: Saved, change: Change, match: str) -> None:
-    header, payload = parts(data_of(paper))
+    header, payload = parts(to_bytes(paper))
     change(header)
     with pytest.raises(SavedError, match=match):
         decode(signed(header, payload))
@@ -169,7 +165,7 @@ def test_a_header_that_is_no_header_is_refused(text: bytes) -> None:
 
 
 def test_another_version_and_other_files_are_refused(paper: Saved) -> None:
-    header, payload = parts(data_of(paper))
+    header, payload = parts(to_bytes(paper))
     with pytest.raises(SavedError, match=f"version {VERSION + 1}"):
         decode(signed(header, payload, VERSION + 1))
     for data in (b"", b"hello", b"\x89MCAP0\r\n" + bytes(100)):
@@ -209,13 +205,13 @@ def test_what_is_no_density_is_refused(paper: Saved) -> None:
     }
     for match, saved in spoilt.items():
         with pytest.raises(SavedError, match=match):
-            decode(data_of(saved))
-    decode(data_of(spoil(paper, axes=mirrored)))  # handedness is of no matter to a frame
+            decode(to_bytes(saved))
+    decode(to_bytes(spoil(paper, axes=mirrored)))  # handedness is of no matter to a frame
 
 
 def test_another_filter_refuses_it(paper: Saved) -> None:
     parameters = filter_parameters_for(load_scenario("paper"))
-    saved = decode(data_of(paper))
+    saved = decode(to_bytes(paper))
     saved.check(SNAPSHOT, parameters)
     with pytest.raises(SavedError, match="give a map"):
         saved.check(MAP, parameters)

@@ -16,7 +16,7 @@ from dopslam_ros.core.saved import BEFORE_ALL, Saved, SavedError
 from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.core.session import FilterOutput, FilterSession
 from dopslam_ros.core.simulator import Snapshot, simulate
-from dopslam_ros.core.statefile import decode, encode
+from dopslam_ros.core.statefile import decode, to_bytes
 from dopslam_ros.core.study import filter_parameters_for
 
 SCENARIO = load_scenario("paper")
@@ -39,7 +39,7 @@ def feed(filtering: FilterSession, snapshots: Iterable[Snapshot]) -> list[Filter
 
 
 def through_a_file(saved: Saved) -> Saved:
-    return decode(b"".join(bytes(piece) for piece in encode(saved)))
+    return decode(to_bytes(saved))
 
 
 def bytes_of(outputs: list[FilterOutput]) -> list[bytes]:
@@ -152,12 +152,12 @@ def test_a_known_map_is_the_same_bytes_after_a_run(snapshots: list[Snapshot]) ->
     first = FilterSession(PARAMETERS)
     feed(first, snapshots)
     known = first.known_map()
-    data = b"".join(bytes(piece) for piece in encode(known))
+    data = to_bytes(known)
     filtering = FilterSession(KNOWN)
     filtering.replace_map(through_a_file(known))
     awake = {len(o.state.best.track_id) for o in feed(filtering, snapshots)}
     assert len(awake) > 1, "landmarks fell asleep and woke up meanwhile"
-    assert b"".join(bytes(piece) for piece in encode(filtering.known_map())) == data
+    assert to_bytes(filtering.known_map()) == data
     assert set(filtering.state.best.all_track_ids) == set(known.mixture.best.all_track_ids)
 
 
