@@ -213,8 +213,8 @@ class _Run:
 
     def finish(self) -> None:
         """The end of the inputs."""
-        self._filtered(self._filter.flush())
-        self._bounded(self._bounds.flush())
+        self._filtered(self._filter.end())
+        self._bounded(self._bounds.end())
         self.result.known_map = self._filter.known_map()
         self.result.problems.update(self._filter.problems)
 

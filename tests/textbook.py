@@ -253,7 +253,7 @@ def predict(density: Density, spans: Sequence[ControlSpan], par: Parameters) -> 
     """f of eq. (1), F P F' + Q, control by control."""
     mean, covariance = density.mean.copy(), density.covariance.copy()
     rate = np.array(par.process_noise_std) ** 2 / par.process_noise_period
-    for (speed, turn), duration in spans:
+    for (speed, turn), duration, *_ in spans:
         heading, turned = mean[2], turn * duration
         if abs(turned) > 1e-12:
             dx = speed / turn * (math.sin(heading + turned) - math.sin(heading))

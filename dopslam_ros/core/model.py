@@ -132,6 +132,36 @@ class OnlineParameters(ModelParameters):
         low=1e-3,
         high=3600.0,
     )
+    reorder_window: float = parameter(
+        0.0,
+        "How much later than a newer one a set or control may come and still be sorted in. Every"
+        " result waits that much longer.",
+        unit="s",
+        low=0.0,
+        high=1.0,
+    )
+    control_timeout: float = parameter(
+        0.6,
+        "How long a control holds. It is used on after that, with noise that grows as the two"
+        " parameters below say.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+    coasting_acceleration: float = parameter(
+        3.0,
+        "Standard deviation of the vehicle's acceleration while its controls are missing.",
+        unit="m/s^2",
+        low=0.0,
+        high=100.0,
+    )
+    coasting_turn_acceleration: float = parameter(
+        0.3,
+        "Standard deviation of the vehicle's angular acceleration while its controls are missing.",
+        unit="rad/s^2",
+        low=0.0,
+        high=100.0,
+    )
 
 
 M = TypeVar("M", bound=ModelParameters)

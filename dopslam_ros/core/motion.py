@@ -23,11 +23,27 @@ class Control(NamedTuple):
     turn_rate: float
 
 
+class Drift(NamedTuple):
+    """How far the vehicle may have left what an old control says, beyond the process noise.
+
+    Attributes:
+        along: variance along the heading [m^2].
+        heading: variance of the heading [rad^2].
+    """
+
+    along: float
+    heading: float
+
+
+NO_DRIFT = Drift(0.0, 0.0)
+
+
 class ControlSpan(NamedTuple):
-    """A control and how long it holds [s]."""
+    """A control, how long it holds [s], and what is lost when it is an old one."""
 
     control: Control
     duration: float
+    drift: Drift = NO_DRIFT
 
 
 def propagate(state: FloatArray, control: Control, duration: float) -> FloatArray:
@@ -73,8 +89,8 @@ def propagate_spans(
     """
     check_shapes(state=(state, (4,)), noise_rate=(noise_rate, (4,)))
     after, jacobian, noise = np.array(state, dtype=np.float64), np.eye(4), np.zeros((4, 4))
-    pieces = [(control.speed, control.turn_rate, duration) for control, duration in spans]
-    rows = np.array(pieces, dtype=np.float64).reshape(-1, 3)
+    rows = np.array([(*c, duration, *drift) for c, duration, drift in spans], dtype=np.float64)
+    rows = rows.reshape(-1, 5)
     kernels.propagate_spans(after, rows, floats(noise_rate), jacobian, noise)
     return after, jacobian, noise
 

@@ -5,28 +5,35 @@ once a control from its own time or later has arrived, because only then can no 
 on its way. What is released depends on stamps and on the order within each topic, not on how the
 topics interleave; so a live run and its replay process the same things. The exception is a control
 that comes too late: a wait has to end, and when it does the snapshot is marked as not complete.
+
+When stamps jump back, as in a bag that is played again, time begins anew: see ``ordering``.
 """
 
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from dopslam_ros.core.motion import Control, ControlSpan
+from dopslam_ros.core.model import OnlineParameters
+from dopslam_ros.core.motion import NO_DRIFT, Control, ControlSpan, Drift
+from dopslam_ros.core.ordering import Instant, Stream
 from dopslam_ros.core.refusal import Refused
 
 Item = TypeVar("Item")
 
 # Snapshots that wait for controls; more than this many and the oldest is released as it is.
 MOST_PENDING = 1000
-# A stamp further ahead of the one before [ns] is believed when the next one confirms it.
-LARGEST_JUMP_NS = 60 * 1_000_000_000
 # Plausible controls [m/s], [rad/s].
 FASTEST = 1e4
 FASTEST_TURN = 1e3
+# For so long [s] an old control's error grows as under a constant acceleration, then steadily.
+LONGEST_ACCELERATION = 10.0
+UNKNOWN = Control(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,8 @@ class Timed(Generic[Item]):
         spans: the controls since the item before; empty for the first one.
         control: the control valid at the item's time, or None if none is known.
         complete: whether every control that was needed had arrived.
+        anew: whether time has begun anew: the first after the stamps jumped back.
+        stale: whether the control is so old that its speed says little.
     """
 
     stamp_ns: int
@@ -46,40 +55,50 @@ class Timed(Generic[Item]):
     spans: tuple[ControlSpan, ...]
     control: Control | None
     complete: bool
+    anew: bool = False
+    stale: bool = False
 
 
 class Sequencer(Generic[Item]):
     """Orders items by stamp, each with the controls since the one before.
 
     Args:
-        wait: how far [s] the newest item may be ahead of one that still waits for its control
-            before that one is released without.
+        parameters: how long is waited, and what an old control is worth.
     """
 
-    def __init__(self, wait: float) -> None:
-        self._wait_ns = round(wait * 1e9)
-        self._stamps: list[int] = []
-        self._items: list[Item] = []
-        self._control_stamps: list[int] = []
-        self._controls: list[Control] = []
-        self._item_clock = _StampClock()
-        self._control_clock = _StampClock()
-        self._last_ns: int | None = None
+    def __init__(self, parameters: OnlineParameters) -> None:
+        self._parameters = parameters
+        self._wait_ns = round(parameters.control_wait * 1e9)
+        window = parameters.reorder_window
+        self._items: Stream[Item] = Stream("set", "late", window)
+        self._controls: Stream[Control] = Stream("control", "late_control", window)
+        self._first: Instant | None = None
+        self._last: Instant | None = None
+        self._apart_ns: int | None = None
 
     @property
     def pending(self) -> int:
         """How many items wait."""
-        return len(self._items)
+        return len(self._items.times)
 
     @property
     def newest_ns(self) -> int | None:
         """The stamp of the newest item that was added."""
-        return self._item_clock.newest_ns
+        return self._items.newest_ns
 
     @property
     def controls(self) -> tuple[tuple[int, Control], ...]:
         """The controls that items to come depend on, with their stamps [ns]."""
-        return tuple(zip(self._control_stamps, self._controls, strict=True))
+        now = self._items.round if self._last is None else self._last.round
+        pairs = zip(self._controls.times, self._controls.values, strict=True)
+        return tuple((time.stamp_ns, control) for time, control in pairs if time.round == now)
+
+    def take_problems(self) -> Counter[str]:
+        """What was met since the last call and concerned no message just added."""
+        found = self._items.problems + self._controls.problems
+        self._items.problems.clear()
+        self._controls.problems.clear()
+        return found
 
     def go_on(self, last_ns: int | None, controls: Sequence[tuple[int, Control]]) -> None:
         """A new one goes on as another did that had released the item of ``last_ns``.
@@ -88,17 +107,17 @@ class Sequencer(Generic[Item]):
             last_ns: the stamp of that item, or None before the first.
             controls: what the other one had as ``controls``.
         """
-        self._last_ns = self._item_clock.newest_ns = last_ns
-        self._control_stamps = [stamp for stamp, _ in controls]
-        self._controls = [control for _, control in controls]
-        if controls:
-            self._control_clock.newest_ns = controls[-1][0]
+        self._items.newest_ns = last_ns
+        self._first = self._last = None if last_ns is None else Instant(0, last_ns)
+        for stamp, control in controls:
+            self._controls.add(stamp, control)
 
     def add_control(self, stamp_ns: int, speed: float, turn_rate: float) -> None:
         """A control, valid from its stamp until the next.
 
         Raises:
-            Refused: not a plausible number, not newer than the control before, or far ahead.
+            Refused: not a plausible number, or not newer than the control before by more than the
+                window for sorting.
         """
         plausible = abs(speed) <= FASTEST and abs(turn_rate) <= FASTEST_TURN
         if not (math.isfinite(speed) and math.isfinite(turn_rate) and plausible):
@@ -107,88 +126,117 @@ class Sequencer(Generic[Item]):
                 f"control (speed {speed:g} m/s, turn rate {turn_rate:g} rad/s) is not usable:"
                 " linear.x and angular.z must be finite",
             )
-        self._control_clock.accept(stamp_ns, "backward_control", "backward_control")
-        self._control_stamps.append(stamp_ns)
-        self._controls.append(Control(speed, turn_rate))
+        self._controls.add(stamp_ns, Control(speed, turn_rate))
 
     def add(self, stamp_ns: int, item: Item) -> None:
         """An item to release in its turn.
 
         Raises:
-            Refused: its time is not later than that of the one added before, or far ahead of it.
+            Refused: its time is not later than that of the newest one by more than the window for
+                sorting, or it is there already.
         """
-        self._item_clock.accept(stamp_ns, "backward_time", "duplicate_stamp")
-        self._stamps.append(stamp_ns)
-        self._items.append(item)
+        self._items.add(stamp_ns, item, self._last)
+        self._watch_rounds(stamp_ns)
 
     def ready(self) -> Iterator[Timed[Item]]:
         """Releases what need not wait any longer, in order."""
-        while self._stamps:
-            covered = bool(self._control_stamps) and self._control_stamps[-1] >= self._stamps[0]
-            overdue = self._stamps[-1] - self._stamps[0] >= self._wait_ns
-            if not (covered or overdue or len(self._stamps) > MOST_PENDING):
+        while self._items.times:
+            first = self._items.times[0]
+            covered = self._controls.reached(first)
+            due = (covered and self._items.reached(first)) or self._overdue(first)
+            if not (due or self.pending > MOST_PENDING):
                 return
             yield self._release(covered)
 
     def flush(self) -> Iterator[Timed[Item]]:
         """Releases everything: no more inputs will come."""
         yield from self.ready()
-        while self._stamps:
-            yield self._release(complete=False)
+        while self._items.times:
+            yield self._release(self._controls.reached(self._items.times[0]))
 
-    def _release(self, complete: bool) -> Timed[Item]:
-        stamp, item = self._stamps.pop(0), self._items.pop(0)
-        spans = () if self._last_ns is None else self._spans(self._last_ns, stamp)
-        current = bisect.bisect_right(self._control_stamps, stamp) - 1
-        control = self._controls[current] if current >= 0 else None
-        self._last_ns = stamp
-        del self._control_stamps[: max(current, 0)], self._controls[: max(current, 0)]
-        known = control is not None and all(span.control is not _UNKNOWN for span in spans)
-        return Timed(stamp, item, spans, control, complete and known)
+    def end(self) -> Iterator[Timed[Item]]:
+        """Releases everything for good; what was kept aside is counted as a problem."""
+        self._items.end()
+        self._controls.end()
+        yield from self.flush()
 
-    def _spans(self, start: int, end: int) -> tuple[ControlSpan, ...]:
+    def _overdue(self, first: Instant) -> bool:
+        """Whether an item has waited long enough, by the stamps of those after it."""
+        newest = self._items.newest_ns
+        assert newest is not None
+        if self._items.round == first.round:
+            return newest - first.stamp_ns >= self._wait_ns
+        start = bisect.bisect_left(self._items.times, Instant(self._items.round, 0))
+        return newest - self._items.times[start].stamp_ns >= self._wait_ns
+
+    def _watch_rounds(self, stamp_ns: int) -> None:
+        """Time that begins anew on one topic only is given up after a while."""
+        if self._items.round == self._controls.round or self._controls.newest_ns is None:
+            self._apart_ns = None
+        elif self._apart_ns is None or stamp_ns < self._apart_ns:
+            self._apart_ns = stamp_ns
+        elif stamp_ns - self._apart_ns >= self._wait_ns:
+            self._controls.join(self._items.round)
+
+    def _release(self, reached: bool) -> Timed[Item]:
+        time, item = self._items.times[0], self._items.values[0]
+        self._items.forget(1)
+        last, self._last = self._last, time
+        anew = last is not None and last.round < time.round
+        if last is None or anew:
+            self._first = time
+        spans = () if last is None or anew else self._spans(last, time)
+        control, current = self._control_at(time)
+        self._controls.forget(max(current, 0))
+        known = control is not None and all(span.control is not UNKNOWN for span in spans)
+        complete = reached and known and self._any_of_round_after(time)
+        return Timed(time.stamp_ns, item, spans, control, complete, anew, self._stale(time))
+
+    def _any_of_round_after(self, time: Instant) -> bool:
+        """Whether a control of an instant or later, in its round, has come."""
+        at = bisect.bisect_left(self._controls.times, time)
+        return at < len(self._controls.times) and self._controls.times[at].round == time.round
+
+    def _control_at(self, time: Instant) -> tuple[Control | None, int]:
+        """The control that holds then and its place, -1 before all of them."""
+        place = bisect.bisect_right(self._controls.times, time) - 1
+        if place < 0 or self._controls.times[place].round != time.round:
+            return None, place
+        return self._controls.values[place], place
+
+    def _stale(self, time: Instant) -> bool:
+        control, place = self._control_at(time)
+        if control is None:
+            return False
+        age = (time.stamp_ns - self._controls.times[place].stamp_ns) * 1e-9
+        return age > self._parameters.control_timeout
+
+    def _spans(self, start: Instant, end: Instant) -> tuple[ControlSpan, ...]:
         """The controls between two times; before the first one the vehicle is taken to stand."""
-        first = bisect.bisect_right(self._control_stamps, start)
-        last = bisect.bisect_left(self._control_stamps, end)
-        edges = [start, *self._control_stamps[first:last], end]
-        before = self._controls[first - 1] if first > 0 else _UNKNOWN
-        controls = [before, *self._controls[first:last]]
+        times = self._controls.times
+        between = times[bisect.bisect_right(times, start) : bisect.bisect_left(times, end)]
+        edges = [start, *between, end]
         return tuple(
-            ControlSpan(control, (after - ahead) * 1e-9)
-            for control, ahead, after in zip(controls, edges, edges[1:], strict=False)
+            self._span(ahead, after) for ahead, after in itertools.pairwise(edges)
         )
 
+    def _span(self, start: Instant, end: Instant) -> ControlSpan:
+        """The time between two instants, at the first of which a control may begin."""
+        control, place = self._control_at(start)
+        since = self._controls.times[place] if control is not None else self._first or start
+        before, after = ((t.stamp_ns - since.stamp_ns) * 1e-9 for t in (start, end))
+        drift = NO_DRIFT
+        if after > self._parameters.control_timeout:
+            (a, b), (c, d) = self._left(before), self._left(after)
+            drift = Drift(c - a, d - b)
+        return ControlSpan(control or UNKNOWN, (end.stamp_ns - start.stamp_ns) * 1e-9, drift)
 
-class _StampClock:
-    """Stamps of one topic must increase; a single one from far ahead must not lock out the rest."""
-
-    def __init__(self) -> None:
-        self.newest_ns: int | None = None
-        self._suspect_ns: int | None = None
-
-    def accept(self, stamp_ns: int, backward: str, duplicate: str) -> None:
-        """Takes a stamp or raises Refused, with one of the two reasons or ``jump_ahead``."""
-        newest, suspect = self.newest_ns, self._suspect_ns
-        if newest is not None and stamp_ns <= newest:
-            raise Refused(
-                duplicate if stamp_ns == newest else backward,
-                f"stamp {_seconds(stamp_ns)} is not later than that of the one before,"
-                f" {_seconds(newest)}: stamps must increase",
-            )
-        if newest is not None and stamp_ns - newest > LARGEST_JUMP_NS:
-            confirmed = suspect is not None and 0 < stamp_ns - suspect <= LARGEST_JUMP_NS
-            if not confirmed:
-                self._suspect_ns = stamp_ns
-                raise Refused(
-                    "jump_ahead",
-                    f"stamp {_seconds(stamp_ns)} is more than {_seconds(LARGEST_JUMP_NS)} ahead of"
-                    f" {_seconds(newest)}: believed when the next one confirms it",
-                )
-        self.newest_ns, self._suspect_ns = stamp_ns, None
-
-
-_UNKNOWN = Control(0.0, 0.0)
-
-
-def _seconds(stamp_ns: int) -> str:
-    return f"{stamp_ns // 1_000_000_000}.{stamp_ns % 1_000_000_000:09d} s"
+    def _left(self, age: float) -> Drift:
+        """How far the vehicle may have left what a control of that age [s] says."""
+        old = max(age - self._parameters.control_timeout, 0.0)
+        free = min(old, LONGEST_ACCELERATION)
+        grown = 0.5 * free**2 + free * (old - free)
+        return Drift(
+            (self._parameters.coasting_acceleration * grown) ** 2,
+            min(self._parameters.coasting_turn_acceleration * grown, math.pi) ** 2,
+        )

@@ -38,6 +38,9 @@ from dopslam_ros.core.parameters import parameter
 from dopslam_ros.core.sequence import Sequencer, Timed
 from dopslam_ros.core.steering import SteeredFilter
 
+# Time began anew, and with it everything that was estimated.
+BEGUN_ANEW = "reset_backward_jump"
+
 
 @dataclass(frozen=True)
 class FilterOutput:
@@ -100,11 +103,19 @@ class FilterSession(SteeredFilter):
         return self._process(self._sequencer.ready())
 
     def flush(self) -> Iterator[FilterOutput]:
-        """Processes what still waits: no more inputs will come."""
+        """Processes what still waits, as if no more inputs came."""
         return self._process(self._sequencer.flush())
+
+    def end(self) -> Iterator[FilterOutput]:
+        """Processes what still waits: no more inputs will come."""
+        yield from self._process(self._sequencer.end())
+        self.problems.update(self._sequencer.take_problems())
 
     def _process(self, due: Iterable[Timed[MeasurementSet]]) -> Iterator[FilterOutput]:
         for timed in due:
+            if timed.anew:
+                self.problems[BEGUN_ANEW] += 1
+                self._begin_anew()
             self._do_scheduled(timed.stamp_ns)
             output = self._step(timed)
             self._last_ns = timed.stamp_ns
@@ -113,11 +124,13 @@ class FilterSession(SteeredFilter):
 
     def _step(self, timed: Timed[MeasurementSet]) -> FilterOutput | None:
         started = time.perf_counter()
+        self.problems.update(self._sequencer.take_problems())
         if not timed.complete:
             self.problems["missing_control"] += 1
         if not len(timed.item):
             self.problems["empty_set"] += 1
-        measurements = timed.item if timed.control is not None else _without_doppler(timed.item)
+        known = timed.control is not None and not timed.stale
+        measurements = timed.item if known else _without_doppler(timed.item)
         control = timed.control or Control(0.0, 0.0)
         # Owed until a step succeeds: whatever goes wrong below, the motion is not forgotten.
         self._owed = spans = () if self._anew else self._owed + timed.spans
@@ -215,8 +228,12 @@ class BoundsSession:
         self.parameters = parameters
         self.problems: Counter[str] = Counter()
         self._models = (parameters, with_doppler_std(parameters, None))
-        self._states = [initial_bound(parameters.initial_covariance) for _ in self._models]
-        self._sequencer: Sequencer[WorldState] = Sequencer(parameters.control_wait)
+        self._sequencer: Sequencer[WorldState] = Sequencer(parameters)
+        self._begin()
+
+    def _begin(self) -> None:
+        covariance = self.parameters.initial_covariance
+        self._states = [initial_bound(covariance) for _ in self._models]
         self._ue: FloatArray | None = None
 
     @property
@@ -234,13 +251,18 @@ class BoundsSession:
         self._sequencer.add(stamp_ns, world)
         return map(self._step, self._sequencer.ready())
 
-    def flush(self) -> Iterator[BoundsOutput]:
-        """Processes what still waits."""
-        return map(self._step, self._sequencer.flush())
+    def end(self) -> Iterator[BoundsOutput]:
+        """Processes what still waits: no more inputs will come."""
+        yield from map(self._step, self._sequencer.end())
+        self.problems.update(self._sequencer.take_problems())
 
     def _step(self, timed: Timed[WorldState]) -> BoundsOutput:
+        self.problems.update(self._sequencer.take_problems())
         if not timed.complete:
             self.problems["missing_control"] += 1
+        if timed.anew:
+            self.problems[BEGUN_ANEW] += 1
+            self._begin()
         world, model = timed.item, self.parameters
         # The BS takes part once, whether or not the map lists it.
         listed = world.types != LandmarkType.BS
@@ -262,7 +284,7 @@ class BoundsSession:
             if self._ue is not None:
                 state = predict_bound(state, self._ue, timed.spans, variant.noise_rate)
             used = variant.used_components
-            if timed.control is None:
+            if timed.control is None or timed.stale:
                 used = used & (np.arange(len(used)) != DOPPLER)
             state = update_bound(state, paths, ids, ids == -1, chance, variant.noise, used)
             self._states[number] = state

@@ -35,10 +35,14 @@ def check_saved(saved: Saved) -> None:
     stamps = [stamp for stamp, _ in saved.controls]
     _need(all(a < b for a, b in itertools.pairwise(stamps)), "the controls are not in order")
     _need(all(stamp >= 0 for stamp in stamps), "a control is before all time")
-    numbers = [v for _, c in saved.controls for v in c] + [v for c, t in saved.owed for v in c]
-    durations = [t for _, t in saved.owed]
+    numbers = [value for _, control in saved.controls for value in control]
+    numbers += [value for span in saved.owed for value in (*span.control, *span.drift)]
+    durations = [value for _, t, drift in saved.owed for value in (t, *drift)]
     _numbers("controls", np.array(numbers + durations, np.float64))
-    _need(all(t >= 0.0 for t in durations), "motion is owed for a negative time")
+    _need(
+        all(t >= 0.0 for t in durations),
+        "motion is owed for a negative time or with a negative variance",
+    )
     weight = saved.mixture.weight
     _probabilities("weight", weight)
     _need(weight.shape == (len(saved.mixture.hypotheses),), "weights are no vector")

@@ -28,7 +28,7 @@ from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.filter import FilterState, Mixture
 from dopslam_ros.core.filter.sleepers import Asleep, Sleepers
 from dopslam_ros.core.filter.undetected import Undetected
-from dopslam_ros.core.motion import Control, ControlSpan
+from dopslam_ros.core.motion import Control, ControlSpan, Drift
 from dopslam_ros.core.saved import Saved, SavedError
 from dopslam_ros.core.soundness import check_saved
 
@@ -135,10 +135,10 @@ def _named_pieces(saved: Saved) -> Iterator[tuple[str, Sequence[Array]]]:
     """Every array by name; those of the sleepers in pieces, a cell each."""
     stamps = np.array([stamp for stamp, _ in saved.controls], np.int64)
     values = np.array([list(control) for _, control in saved.controls], np.float64).reshape(-1, 2)
-    owed = np.array([[*control, duration] for control, duration in saved.owed], np.float64)
+    owed = np.array([[*c, duration, *drift] for c, duration, drift in saved.owed], np.float64)
     yield "control_stamps", [stamps]
     yield "controls", [values]
-    yield "owed", [owed.reshape(-1, 3)]
+    yield "owed", [owed.reshape(-1, 5)]
     yield "weight", [saved.mixture.weight]
     for number, state in enumerate(saved.mixture.hypotheses):
         for name, pieces in _of_state(state):
@@ -176,7 +176,7 @@ def _saved(header: Any, payload: memoryview) -> Saved:
         parameters=dict(header["parameters"]),
         mixture=Mixture(states, np.asarray(weight, np.float64)),
         controls=tuple((s, Control(*c)) for s, c in zip(stamps, controls, strict=True)),
-        owed=tuple(ControlSpan(Control(v, w), t) for v, w, t in owed),
+        owed=tuple(ControlSpan(Control(v, w), t, Drift(*d)) for v, w, t, *d in owed),
     )
 
 

@@ -30,7 +30,7 @@ class SteeredFilter:
 
     def __init__(self, parameters: FilterParameters) -> None:
         self.parameters = parameters
-        self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters.control_wait)
+        self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters)
         self._state = initial_mixture(parameters)
         self._owed: tuple[ControlSpan, ...] = ()
         self._last_ns = BEFORE_ALL
@@ -134,11 +134,16 @@ class SteeredFilter:
             self._state = in_map(self._state.best, saved, self.parameters)
         return event
 
+    def _begin_anew(self) -> None:
+        """Time has begun anew: as at the start."""
+        self._do(Event(RESET, self._last_ns))
+        self._last_ns = BEFORE_ALL
+
     def _go_on_from(self, saved: Saved) -> None:
         self._state, self._owed, self._last_ns = saved.mixture, saved.owed, saved.stamp_ns
         self._anew = saved.stamp_ns == BEFORE_ALL
         self._known_map = self._learned_map()
-        self._sequencer = Sequencer(self.parameters.control_wait)
+        self._sequencer = Sequencer(self.parameters)
         self._sequencer.go_on(None if self._anew else saved.stamp_ns, saved.controls)
 
     def _do_scheduled(self, before_ns: int) -> None:

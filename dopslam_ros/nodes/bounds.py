@@ -117,7 +117,7 @@ class BoundsNode(DopslamNode):
         )
 
     def close(self) -> None:
-        self._publish(self._session.flush())
+        self._publish(self._session.end())
 
 
 def main() -> None:

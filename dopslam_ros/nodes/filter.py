@@ -108,7 +108,7 @@ class FilterNode(DopslamNode):
         )
 
     def close(self) -> None:
-        self._publish(self._session.flush())
+        self._publish(self._session.end())
         self._steering.close()
 
 

@@ -289,7 +289,7 @@ def test_the_session_does_not_count_doppler_at_an_unknown_speed() -> None:
     session = BoundsSession(bounds_parameters_for(scenario))
     world = WorldState(nominal_trajectory(scenario)[0], IDS, types, positions)
     assert list(session.add_world(10**9, world)) == []
-    (output,) = session.flush()
+    (output,) = session.end()
     assert session.problems["missing_control"] == 1
     assert output.with_doppler[:3] == output.without_doppler[:3]
 

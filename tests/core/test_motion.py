@@ -126,7 +126,7 @@ def test_spans_are_the_steps_one_after_the_other() -> None:
     ]
     state, jacobian, noise = propagate_spans(STATE, spans, RATE)
     expected, f, q = STATE, np.eye(4), np.zeros((4, 4))
-    for control, duration in spans:
+    for control, duration, _ in spans:
         one = propagation_jacobian(expected, control, duration)
         f, q = one @ f, one @ q @ one.T + np.diag(RATE) * duration
         expected = propagate(expected, control, duration)
@@ -141,7 +141,7 @@ def test_noise_of_spans_against_sampling() -> None:
     mean, _, noise = propagate_spans(STATE, spans, rate)
     rng = np.random.default_rng(11)
     samples = np.tile(STATE, (40_000, 1))
-    for control, duration in spans:
+    for control, duration, _ in spans:
         samples = propagate(samples, control, duration)
         samples = samples + rng.normal(0.0, np.sqrt(rate * duration), samples.shape)
     error = samples - mean

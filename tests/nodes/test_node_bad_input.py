@@ -186,7 +186,7 @@ BAD_SETS: dict[str, tuple[Callable[[Any], None], str]] = {
     "negative stamp": (stamped(-5, 0), "invalid_stamp"),
     "overflowing stamp": (stamped(3, SECOND), "invalid_stamp"),
     "10,001 paths": (too_many, "too_many_paths"),
-    "time runs backward": (stamped(1, 250_000_000), "backward_time"),
+    "time runs backward": (stamped(1, 250_000_000), "late"),
 }
 
 
@@ -265,8 +265,8 @@ BAD_CONTROLS = {
     "infinite speed": (control(2_250_000_000, np.inf, 0.0), "invalid_control"),
     "impossible speed": (control(2_250_000_000, 1e9, 0.0), "invalid_control"),
     "impossible turn rate": (control(2_250_000_000, 1.0, -1e4), "invalid_control"),
-    "backward": (control(1_250_000_000, 99.0, 1.0), "backward_control"),
-    "same time": (control(2_000_000_000, 99.0, 1.0), "backward_control"),
+    "backward": (control(1_250_000_000, 99.0, 1.0), "late_control"),
+    "same time": (control(2_000_000_000, 99.0, 1.0), "duplicate_stamp"),
     "no stamp": (control(0, 99.0, 1.0), "no_stamp"),
     "garbage": (b"\0\1\0\0\7", "malformed_message"),
 }
@@ -379,7 +379,7 @@ def test_a_set_that_was_overtaken(bench: Bench, simulated: Path, tmp_path: Path)
             bench.send(SETS, bench.sets[step])
             bench.ros.spin_until(lambda: bench.node.health()[2][1] == ("sets_waiting", 1))
             bench.send(SETS, bench.sets[PLACE])
-            bench.expect("backward_time")
+            bench.expect("late")
             bench.send(CONTROLS, bench.controls[step])
             bench.wait_for_states(step)
         else:

@@ -50,13 +50,15 @@ def propagate_spans(
 
     Args:
         state: (4,) to be moved.
-        spans: (S, 3) speed [m/s], turn rate [rad/s], duration [s].
+        spans: (S, 5) speed [m/s], turn rate [rad/s], duration [s], and the variances that come on
+            top along the heading [m^2] and of the heading [rad^2].
         noise_rate: (4,) variance that the process noise adds per second.
         jacobian: (4, 4) F, unit at first.
         noise: (4, 4) Q, zero at first.
     """
     for n in range(len(spans)):
         duration = spans[n, 2]
+        middle = state[2] + 0.5 * spans[n, 1] * duration
         dx, dy = move(state, spans[n, 0], spans[n, 1], duration)
         # F of a span is unit but for F[0, 2] = -dy and F[1, 2] = dx.
         jacobian[0, 2] -= dy
@@ -68,6 +70,13 @@ def propagate_spans(
             noise[k, 0] -= dy * noise[k, 2]
             noise[k, 1] += dx * noise[k, 2]
             noise[k, k] += noise_rate[k] * duration
+        if spans[n, 3] > 0.0:
+            c, s = math.cos(middle), math.sin(middle)
+            noise[0, 0] += spans[n, 3] * c * c
+            noise[0, 1] += spans[n, 3] * c * s
+            noise[1, 0] += spans[n, 3] * c * s
+            noise[1, 1] += spans[n, 3] * s * s
+        noise[2, 2] += spans[n, 4]
 
 
 @compiled
