@@ -216,9 +216,7 @@ class Sequencer(Generic[Item]):
         times = self._controls.times
         between = times[bisect.bisect_right(times, start) : bisect.bisect_left(times, end)]
         edges = [start, *between, end]
-        return tuple(
-            self._span(ahead, after) for ahead, after in itertools.pairwise(edges)
-        )
+        return tuple(self._span(ahead, after) for ahead, after in itertools.pairwise(edges))
 
     def _span(self, start: Instant, end: Instant) -> ControlSpan:
         """The time between two instants, at the first of which a control may begin."""

@@ -300,7 +300,9 @@ def test_time_that_begins_anew_on_one_topic_only_is_given_up(topic: str) -> None
 
 def test_an_old_control_is_worth_less_and_less() -> None:
     """What is lost adds up to the same however the time is cut into pieces."""
-    whole, pieces = (sequencer_of(1e6, control_timeout=2.0) for _ in range(2))
+    aging = {"control_timeout": 2.0, "coasting_acceleration": 1.0}
+    aging["coasting_turn_acceleration"] = 0.3
+    whole, pieces = (sequencer_of(1e6, **aging) for _ in range(2))
     for sequencer in (whole, pieces):
         sequencer.add_control(0, 5.0, 0.1)
     for stamp in (1, 3, 4, 7, 20):
