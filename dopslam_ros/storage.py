@@ -8,6 +8,7 @@ import re
 import threading
 import time
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from dopslam_ros.core.parameters import parameter
@@ -74,7 +75,19 @@ class Store:
     """
 
     def __init__(self, folder: str) -> None:
-        self.folder = Path(folder).expanduser().absolute()
+        self._given = folder
+
+    @cached_property
+    def folder(self) -> Path:
+        """Its absolute path.
+
+        Raises:
+            SavedError: the user has no home.
+        """
+        try:
+            return Path(self._given).expanduser().absolute()
+        except RuntimeError as error:
+            raise SavedError(f"parameter 'map_directory' = {self._given}: {error}") from error
 
     def path(self, name: str, kind: str) -> Path:
         """Where the map or snapshot of a name is.

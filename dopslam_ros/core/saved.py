@@ -12,7 +12,6 @@ import numpy as np
 from dopslam_ros.core.filter import FilterParameters, FilterState, Mixture
 from dopslam_ros.core.filter.known_map import map_of, with_map
 from dopslam_ros.core.motion import Control, ControlSpan
-from dopslam_ros.core.parameters import shared_values
 
 MAP, SNAPSHOT = "map", "snapshot"
 # The stamp of a filter that has not processed a set yet.
@@ -63,10 +62,9 @@ class Saved:
                 )
 
 
-def saved_map(state: FilterState, stamp_ns: int, parameters: FilterParameters) -> Saved:
-    """The map of a density."""
-    alone = Mixture((map_of(state),), np.ones(1))
-    return Saved(MAP, stamp_ns, shared_values(parameters, FilterParameters), alone)
+def saved_map(state: FilterState, stamp_ns: int, parameters: Mapping[str, Any]) -> Saved:
+    """The map of a density, with the parameters of its filter by name."""
+    return Saved(MAP, stamp_ns, parameters, Mixture((map_of(state),), np.ones(1)))
 
 
 def in_map(vehicle: FilterState, known: Saved, parameters: FilterParameters) -> Mixture:

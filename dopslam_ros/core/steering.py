@@ -30,7 +30,12 @@ class SteeredFilter:
 
     def __init__(self, parameters: FilterParameters) -> None:
         self.parameters = parameters
+<<<<<<< Updated upstream
         self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters)
+=======
+        self._settings = shared_values(parameters, FilterParameters)
+        self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters.control_wait)
+>>>>>>> Stashed changes
         self._state = initial_mixture(parameters)
         self._owed: tuple[ControlSpan, ...] = ()
         self._last_ns = BEFORE_ALL
@@ -105,7 +110,7 @@ class SteeredFilter:
         return Saved(
             SNAPSHOT,
             BEFORE_ALL if self._anew else self._last_ns,
-            shared_values(self.parameters, FilterParameters),
+            self._settings,
             self._state,
             self._sequencer.controls,
             self._owed,
@@ -116,7 +121,7 @@ class SteeredFilter:
         return self._learned_map() if self.parameters.mapping else self._known_map
 
     def _learned_map(self) -> Saved:
-        return saved_map(self._state.best, self._last_ns, self.parameters)
+        return saved_map(self._state.best, self._last_ns, self._settings)
 
     def _do(self, event: Event) -> Event:
         saved = event.saved
