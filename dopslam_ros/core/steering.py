@@ -30,12 +30,8 @@ class SteeredFilter:
 
     def __init__(self, parameters: FilterParameters) -> None:
         self.parameters = parameters
-<<<<<<< Updated upstream
-        self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters)
-=======
         self._settings = shared_values(parameters, FilterParameters)
-        self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters.control_wait)
->>>>>>> Stashed changes
+        self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters)
         self._state = initial_mixture(parameters)
         self._owed: tuple[ControlSpan, ...] = ()
         self._last_ns = BEFORE_ALL
