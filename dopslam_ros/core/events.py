@@ -6,10 +6,11 @@ and its replay then agree.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 from dopslam_ros.core.refusal import Refused
-from dopslam_ros.core.saved import Saved
+from dopslam_ros.core.saved import BEFORE_ALL, Saved
 
 RESET, LOAD_MAP, RESUME, PAUSE, CONTINUE = "reset", "load_map", "resume", "pause", "continue"
 KINDS = (RESET, LOAD_MAP, RESUME, PAUSE, CONTINUE)
@@ -34,36 +35,42 @@ class Event:
 
 
 class Pauses:
-    """Which sets are not taken: those with a stamp inside a pause.
+    """Which sets are not taken.
 
-    Attributes:
-        now: whether there is a pause that has no end yet.
+    A pause holds for the sets later than the newest one taken before it, up to the last one that
+    came while it lasted. That is a matter of the stamps and of the order within the topic, so a
+    replay that knows the pauses beforehand takes the same sets. Where time begins anew a pause is
+    over.
     """
 
     def __init__(self) -> None:
-        self._over: list[tuple[int, int]] = []
-        self._after_ns = 0
-        self._until_ns = 0
-        self.now = False
+        self._spans: deque[tuple[int, int | None]] = deque()
+        self._refused_ns = BEFORE_ALL
+
+    @property
+    def now(self) -> bool:
+        """Whether there is a pause that has no end yet."""
+        return bool(self._spans) and self._spans[-1][1] is None
 
     def begin(self, after_ns: int) -> Event:
-        """Sets later than this are not taken, unless they are not already."""
-        if not self.now:
-            self.now, self._after_ns, self._until_ns = True, after_ns, after_ns
-        return Event(PAUSE, self._after_ns)
+        """Sets later than this are not taken."""
+        self._spans.append((after_ns, None))
+        self._refused_ns = after_ns
+        return Event(PAUSE, after_ns)
 
     def end(self, until_ns: int | None = None) -> Event:
         """Sets later than this, or than the last one refused, are taken again."""
-        after, until = self._after_ns, self._until_ns if until_ns is None else until_ns
-        if self.now and until > after:
-            self._over.append((after, until))
-        self.now = False
+        after, _ = self._spans.pop()
+        until = self._refused_ns if until_ns is None else until_ns
+        if until > after:
+            self._spans.append((after, until))
         return Event(CONTINUE, after, until)
 
-    def check(self, stamp_ns: int) -> None:
-        """Raises Refused if a set is not taken."""
-        inside = any(after < stamp_ns <= until for after, until in self._over)
-        if self.now and stamp_ns > self._after_ns:
-            inside, self._until_ns = True, max(self._until_ns, stamp_ns)
-        if inside:
-            raise Refused("paused", "the filter is paused: call ~/pause with 'data: false'")
+    def check(self, stamp_ns: int, newest_ns: int) -> None:
+        """Raises Refused if a set is not taken; ``newest_ns`` is the newest that was."""
+        while self._spans and newest_ns <= self._spans[0][0] < stamp_ns:
+            until = self._spans[0][1]
+            if until is None or stamp_ns <= until:
+                self._refused_ns = max(self._refused_ns, stamp_ns)
+                raise Refused("paused", "the filter is paused: call ~/pause with 'data: false'")
+            self._spans.popleft()

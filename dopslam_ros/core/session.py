@@ -98,7 +98,7 @@ class FilterSession(SteeredFilter):
         Raises:
             Refused: the set cannot be used.
         """
-        self._pauses.check(stamp_ns)
+        self._pauses.check(stamp_ns, self._newest_ns)
         self._sequencer.add(stamp_ns, measurements)
         return self._process(self._sequencer.ready())
 

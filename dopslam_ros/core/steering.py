@@ -76,12 +76,17 @@ class SteeredFilter:
         return self._do(Event(RESUME, self._last_ns, saved=saved))
 
     def pause(self) -> Event:
-        """Sets newer than those taken so far are refused; controls are taken."""
-        newest = self._sequencer.newest_ns
-        return self._pauses.begin(BEFORE_ALL if newest is None else newest)
+        """Sets newer than those taken so far are refused; controls are taken.
+
+        Not to be called while ``paused``.
+        """
+        return self._pauses.begin(self._newest_ns)
 
     def go_on(self) -> Event:
-        """The end of a pause: the next set is predicted to, over all of the time between."""
+        """The end of a pause: the next set is predicted to, over all of the time between.
+
+        Only to be called while ``paused``.
+        """
         return self._pauses.end()
 
     @property
@@ -93,9 +98,9 @@ class SteeredFilter:
         """An event of a recorded run, in the order they happened; it takes effect in its turn."""
         if event.kind == PAUSE:
             self._pauses.begin(event.after_ns)
-        elif event.kind == CONTINUE:
+        elif event.kind == CONTINUE and self.paused:
             self._pauses.end(event.until_ns)
-        else:
+        elif event.kind != CONTINUE:
             if event.saved is not None:
                 event.saved.check(MAP if event.kind == LOAD_MAP else SNAPSHOT, self.parameters)
             self._scheduled.append(event)
@@ -115,6 +120,11 @@ class SteeredFilter:
     def known_map(self) -> Saved:
         """The map: as it is by now or, where none is learned, as it was loaded."""
         return self._learned_map() if self.parameters.mapping else self._known_map
+
+    @property
+    def _newest_ns(self) -> int:
+        newest = self._sequencer.newest_ns
+        return BEFORE_ALL if newest is None else newest
 
     def _learned_map(self) -> Saved:
         return saved_map(self._state.best, self._last_ns, self._settings)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dopslam_ros.core.events import Event
+from dopslam_ros.core.events import Event, Pauses
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.filter.state import UE
 from dopslam_ros.core.refusal import Refused
@@ -182,6 +183,41 @@ def test_a_pause_refuses_sets_and_the_next_one_is_predicted_to(snapshots: list[S
     for s in snapshots[10:14]:
         list(without.add_control(s.stamp_ns, s.control.speed, s.control.turn_rate))
     assert rest == bytes_of(feed(without, snapshots[14:]))
+
+
+def test_pauses_are_a_matter_of_stamps_and_order_alone() -> None:
+    """Late sets, pauses in a row, and a time that begins anew; live, then known beforehand."""
+    # Stamps as they come; None begins a pause, True ends it.
+    script = [1, 2, None, 3, 2, 5, 4, True, 4, 6, 5, None, True, None, 7, True, None, 8, True, 7]
+    script += [9, 1, 2, 3, None, 7, True, 7, 8]
+
+    def take(pauses: Pauses, taken: list[int], stamp: int) -> None:
+        with contextlib.suppress(Refused):
+            pauses.check(stamp, newest[0])
+            taken.append(stamp)
+            # As the stream does: a jump back begins anew.
+            newest[0] = stamp if stamp < newest[0] - 5 else max(newest[0], stamp)
+
+    live, events, taken, newest = Pauses(), [], list[int](), [BEFORE_ALL]
+    for entry in script:
+        if entry is None:
+            events.append(live.begin(newest[0]))
+        elif entry is True:
+            events.append(live.end())
+        else:
+            take(live, taken, entry)
+    assert taken == [1, 2, 2, 6, 5, 9, 1, 2, 3, 8]
+
+    known, again, newest = Pauses(), list[int](), [BEFORE_ALL]
+    for event in events:
+        if event.kind == "pause":
+            known.begin(event.after_ns)
+        else:
+            known.end(event.until_ns)
+    for entry in script:
+        if entry is not None and entry is not True:
+            take(known, again, entry)
+    assert again == taken
 
 
 def test_events_scheduled_ahead_give_the_same_bytes(snapshots: list[Snapshot]) -> None:
