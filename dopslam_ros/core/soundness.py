@@ -102,24 +102,29 @@ def _check_undetected(state: FilterState) -> None:
 
 def _check_asleep(state: FilterState, parameters: Mapping[str, Any]) -> None:
     _need(0.0 <= state.asleep.widest <= LARGEST, "a reach is out of range")
+    everybody = state.asleep.everybody
+    if everybody is None:
+        return
     size = max(float(parameters["sp_field_of_view"]), SMALLEST_CELL)
-    for index, cell in state.asleep.cells.items():
-        _check_sleepers(cell, state.asleep.widest)
-        at_home = np.floor(cell.position[:, :2] / size) == index
-        _need(len(cell) > 0 and bool(at_home.all()), f"cell {index} has landmarks of elsewhere")
+    index = np.array(list(state.asleep.cells), np.float64)
+    counts = [len(cell) for cell in state.asleep.cells.values()]
+    at_home = np.floor(everybody.position[:, :2] / size) == np.repeat(index, counts, axis=0)
+    _need(min(counts) > 0 and bool(at_home.all()), "a cell has landmarks of elsewhere, or none")
+    _check_sleepers(everybody, state.asleep.widest)
 
 
-def _check_sleepers(cell: Sleepers, widest: float) -> None:
+def _check_sleepers(sleepers: Sleepers, widest: float) -> None:
     for name in ("existence", "reach", "position", "origin", "axes", "q", "anchor_q", "gain"):
-        _numbers(name, getattr(cell, name))
+        _numbers(name, getattr(sleepers, name))
     for name in ("track_id", "anchors"):
-        _need(getattr(cell, name).dtype == np.int64, f"'{name}' is not of whole numbers")
-    _probabilities("existence", cell.existence)
-    _need(bool((cell.reach >= 0.0).all() and (cell.reach <= widest).all()), "a reach is wrong")
-    _need(bool((cell.anchors >= 0).all()), "an anchor has a negative id")
-    _frames(cell.axes)
-    _covariance("covariance", cell.covariance)
-    _covariance("residual", cell.residual)
+        _need(getattr(sleepers, name).dtype == np.int64, f"'{name}' is not of whole numbers")
+    _probabilities("existence", sleepers.existence)
+    in_reach = (sleepers.reach >= 0.0) & (sleepers.reach <= widest)
+    _need(bool(in_reach.all()), "a reach is out of range")
+    _need(bool((sleepers.anchors >= 0).all()), "an anchor has a negative id")
+    _frames(sleepers.axes)
+    _covariance("covariance", sleepers.covariance)
+    _covariance("residual", sleepers.residual)
 
 
 def _array(name: str, array: FloatArray | IntArray, shape: tuple[int, ...], *, whole: bool) -> None:

@@ -18,7 +18,7 @@ import hashlib
 import json
 import math
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -64,24 +64,19 @@ _SLEEPER: Mapping[str, tuple[int, ...]] = {
 
 
 def encode(saved: Saved) -> list[Buffer]:
-    """The pieces of the file, to be written one after the other.
-
-    Arrays are not copied: a large map costs no memory.
-    """
-    named: list[list[Any]] = []
-    payload: list[Array] = []
-    for name, pieces in _named_pieces(saved):
-        kind = "<f8" if pieces and pieces[0].dtype == np.float64 else "<i8"
-        shape = list(pieces[0].shape) if len(pieces) == 1 else [sum(p.size for p in pieces)]
-        named.append([name, kind, shape])
-        payload += [np.ascontiguousarray(p, dtype=kind) for p in pieces if p.size]
+    """The pieces of the file, to be written one after the other."""
+    arrays = [
+        (name, np.ascontiguousarray(array, dtype="<f8" if array.dtype == np.float64 else "<i8"))
+        for name, array in _named_arrays(saved)
+    ]
     header = {
         "kind": saved.kind,
         "stamp_ns": saved.stamp_ns,
         "parameters": dict(saved.parameters),
-        "arrays": named,
+        "arrays": [[name, array.dtype.str, list(array.shape)] for name, array in arrays],
     }
     text = json.dumps(header).encode()
+    payload = [array for _, array in arrays if array.size]
     prefix = _PREFIX.pack(MAGIC, VERSION, len(text), sum(p.nbytes for p in payload))
     digest = hashlib.sha256(prefix + text)
     for piece in payload:
@@ -131,33 +126,33 @@ def decode(data: bytes) -> Saved:
     return saved
 
 
-def _named_pieces(saved: Saved) -> Iterator[tuple[str, Sequence[Array]]]:
-    """Every array by name; those of the sleepers in pieces, a cell each."""
+def _named_arrays(saved: Saved) -> Iterator[tuple[str, Array]]:
+    """Every array by name; those of the sleepers flat, one cell after the other."""
     stamps = np.array([stamp for stamp, _ in saved.controls], np.int64)
     values = np.array([list(control) for _, control in saved.controls], np.float64).reshape(-1, 2)
     owed = np.array([[*c, duration, *drift] for c, duration, drift in saved.owed], np.float64)
-    yield "control_stamps", [stamps]
-    yield "controls", [values]
-    yield "owed", [owed.reshape(-1, 5)]
-    yield "weight", [saved.mixture.weight]
+    yield "control_stamps", stamps
+    yield "controls", values
+    yield "owed", owed.reshape(-1, 5)
+    yield "weight", saved.mixture.weight
     for number, state in enumerate(saved.mixture.hypotheses):
-        for name, pieces in _of_state(state):
-            yield f"{number}/{name}", pieces
+        for name, array in _of_state(state):
+            yield f"{number}/{name}", array
 
 
-def _of_state(state: FilterState) -> Iterator[tuple[str, Sequence[Array]]]:
+def _of_state(state: FilterState) -> Iterator[tuple[str, Array]]:
     for part in fields(FilterState):
         if part.name not in _OWN:
-            yield part.name, [getattr(state, part.name)]
-    yield "numbers", [np.array([state.next_id, state.undetected.looks], np.int64)]
-    yield "viewpoints", [state.undetected.viewpoints]
-    yield "viewpoint_looks", [state.undetected.viewpoint_looks]
+            yield part.name, getattr(state, part.name)
+    yield "numbers", np.array([state.next_id, state.undetected.looks], np.int64)
+    yield "viewpoints", state.undetected.viewpoints
+    yield "viewpoint_looks", state.undetected.viewpoint_looks
     cells = list(state.asleep.cells.items())
     sizes = [[*index, *cell.anchors.shape] for index, cell in cells]
-    yield "cells", [np.array(sizes, np.int64).reshape(-1, 4)]
-    yield "widest", [np.array([state.asleep.widest])]
+    yield "cells", np.array(sizes, np.int64).reshape(-1, 4)
+    yield "widest", np.array([state.asleep.widest])
     for name in _SLEEPER if cells else ():
-        yield f"asleep/{name}", [getattr(cell, name).ravel() for _, cell in cells]
+        yield f"asleep/{name}", np.concatenate([getattr(cell, name).ravel() for _, cell in cells])
 
 
 def _saved(header: Any, payload: memoryview) -> Saved:

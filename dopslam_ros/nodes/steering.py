@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -86,6 +87,8 @@ class Steering:
             if self._settings.resume:
                 raise SavedError("parameter 'resume' is true: give the name of a 'snapshot' too")
             return None
+        # Who wants to run while the snapshot is put together waits for so long at most [s].
+        sys.setswitchinterval(min(sys.getswitchinterval(), 5e-4))
         return SnapshotWriter(self._store, name, self._settings.snapshot_period)
 
     def _resume(self) -> None:
