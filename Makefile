@@ -6,10 +6,13 @@ PYTHON ?=
 RATE ?=
 BIN := .venv/bin
 
-.PHONY: help setup browser demo test lint colcon clean
+# As many tests at a time as there are processors; those of a file in one process.
+TEST := -m pytest -n auto --dist loadfile
+
+.PHONY: help setup browser demo test test-newest test-oldest lint colcon clean
 
 help: ## list the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1	\2/' | expand -t 16
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1	\2/' | expand -t 16
 
 setup: ## make .venv: ROS 2 Jazzy (sourced, or from wheels), messages, this package
 	@python3 tools/setup_env.py $(if $(PYTHON),--python $(PYTHON))
@@ -17,8 +20,14 @@ setup: ## make .venv: ROS 2 Jazzy (sourced, or from wheels), messages, this pack
 demo: setup ## run the demo (RATE: times real time)
 	@$(BIN)/dopslam demo $(if $(RATE),--rate $(RATE))
 
-test: setup browser ## run the tests
-	@$(BIN)/python -m pytest
+test: test-newest test-oldest ## run the tests, with the newest and the oldest numpy and scipy
+
+test-newest: setup browser ## run the tests in .venv
+	@$(BIN)/python $(TEST)
+
+test-oldest: ## run those tests again that depend on numpy and scipy, in .venv-oldest
+	@python3 tools/setup_env.py --oldest $(if $(PYTHON),--python $(PYTHON))
+	@.venv-oldest/bin/python $(TEST) -m "not once"
 
 browser: ## install Chromium for the tests of pages, where root has apt-get
 	@python3 tools/browser.py
@@ -33,5 +42,5 @@ colcon: setup ## build both packages into install/ with colcon
 	  && colcon build
 
 clean: ## remove .venv, what colcon built, and the caches
-	rm -rf .venv build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv .venv-oldest build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find dopslam_ros tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

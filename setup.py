@@ -59,6 +59,7 @@ setup(
         "test": [
             "pytest>=7.4,<10",
             "pytest-timeout>=2.2,<3",
+            "pytest-xdist>=3.4,<4",
             "stonesoup>=1.4,<2",
             "mypy>=1.10,<3",
             "ruff>=0.6,<1",

@@ -36,12 +36,26 @@ PATIENCE = 30.0
 UNPACED = {"path_period": 0.0, "path_spacing": 0.0, "markers_period": 0.0}
 FRAMES = {"map_frame": "world", "base_frame": "m"}
 
+_DOMAINS = 100  # Fast DDS has ports for 1 ... 101 that no other program takes
 _domains = itertools.count(7 * os.getpid())
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compiles before several processes would all do it at once."""
+    if getattr(config.option, "numprocesses", None):
+        from dopslam_ros.core.filter import FilterParameters
+        from dopslam_ros.core.session import BoundsParameters
+        from dopslam_ros.core.warmup import warm_up_bounds, warm_up_filter
+
+        warm_up_filter(FilterParameters())
+        warm_up_bounds(BoundsParameters())
+
+
 def new_domain() -> int:
-    """A ROS domain that no other test of this process has."""
-    return 1 + next(_domains) % 100
+    """A ROS domain that no other test has, in this process or one beside it."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+    each = _DOMAINS // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    return 1 + worker * each + next(_domains) % each
 
 
 def wait_until(

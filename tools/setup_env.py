@@ -1,6 +1,9 @@
 #!/usr/bin/env python3
 """Make `.venv` in the root of the repository: Python, ROS 2 Jazzy, the messages, this package.
 
+With --oldest it makes `.venv-oldest`, with the oldest versions that are supported instead of the
+newest (tools/oldest.txt).
+
 Where ROS 2 Jazzy is sourced and belongs to the chosen Python, the environment stands on it. Where
 it is not, Jazzy comes from wheels (pins in tools/ros-wheels.txt). Only what has changed since the
 last run is done again. Needs nothing but the standard library. Everything the tools print goes to
@@ -30,7 +33,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-VENV = ROOT / ".venv"
+OLDEST = "--oldest" in sys.argv
+VENV = ROOT / (".venv-oldest" if OLDEST else ".venv")
 STATE = VENV / ".setup"
 LOG = VENV / "setup.log"
 
@@ -39,6 +43,7 @@ MESSAGES = "dopslam_msgs"
 EXECUTABLES = ("simulator", "filter", "bounds", "recorder", "player", "dopslam")
 PYTHONS = ("3.12", "3.11")
 WHEEL_PINS = ROOT / "tools" / "ros-wheels.txt"
+OLDEST_PINS = ROOT / "tools" / "oldest.txt"
 LOADER_PATH = ROOT / "tools" / "loader_path.py"
 BUILD_TOOLS = ("setuptools>=64", "wheel>=0.40")
 LOG_TAIL_LINES = 25
@@ -317,7 +322,7 @@ def make_venv(ros: Ros) -> None:
     before = read_stamp("venv").get("facts", facts)
     if VENV.exists() or VENV.is_symlink():
         remove_venv()
-    say(1, f"making .venv with {facts}" + (f" (it was {before})" if before != facts else ""))
+    say(1, f"making {VENV.name} with {facts}" + (f" (it was {before})" if before != facts else ""))
     STATE.mkdir(parents=True)
     with stage("venv", key, python=sys.executable, facts=facts):
         options = ["--system-site-packages"] if ros.sourced else []
@@ -365,7 +370,8 @@ def install_loader_path() -> None:
 
 def install_dependencies(ros: Ros) -> None:
     """Install everything in one go, so that NumPy is settled before anything is built on it."""
-    key = digest([WHEEL_PINS, LOADER_PATH, ROOT / "setup.py"], read_stamp("venv")["key"])
+    inputs = [WHEEL_PINS, OLDEST_PINS, LOADER_PATH, ROOT / "setup.py"]
+    key = digest(inputs, read_stamp("venv")["key"])
     if is_done("dependencies", key):
         return
     what = "Python packages beside the sourced ROS" if ros.sourced else "ROS 2 Jazzy from wheels"
@@ -375,7 +381,7 @@ def install_dependencies(ros: Ros) -> None:
         tools = BUILD_TOOLS if ros.sourced else ("-r", str(WHEEL_PINS))
         pip = [venv_python(), "-m", "pip", "install", *tools, *python_requirements()]
         try:
-            run([*pip, *numpy_constraint(ros)], ros, "Installing the Python packages")
+            run([*pip, *constraints(ros)], ros, "Installing the Python packages")
         except SetupError:
             half_made().unlink()  # pip has ended by itself and has taken its own work back
             raise
@@ -395,8 +401,10 @@ def python_requirements() -> list[str]:
     raise SetupError(f"{ROOT / 'setup.py'} calls no setup(...) to read the dependencies from.")
 
 
-def numpy_constraint(ros: Ros) -> list[str]:
+def constraints(ros: Ros) -> list[str]:
     """Hold NumPy at the sourced ROS's version: its messages are compiled against that one."""
+    if OLDEST:
+        return ["-c", str(OLDEST_PINS)]
     version = numpy_version()
     if not ros.sourced or not version:
         return []
@@ -571,7 +579,7 @@ def set_up(ros: Ros) -> None:
         install_package(ros)
         worked = LOG.stat().st_mtime_ns != before
     if worked:
-        print(f"ready in {time.monotonic() - started:.0f} s: .venv/bin/dopslam", flush=True)
+        print(f"ready in {time.monotonic() - started:.0f} s: {VENV.name}/bin/dopslam", flush=True)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -582,9 +590,12 @@ def main(arguments: Sequence[str]) -> int:
         metavar="NAME",
         help="Python to build on (default: that of an existing .venv, else the one running this)",
     )
+    parser.add_argument(
+        "--oldest", action="store_true", help="make .venv-oldest: the oldest versions supported"
+    )
     options = parser.parse_args(arguments)
     try:
-        use_python(options.python, [])
+        use_python(options.python, ["--oldest"] if options.oldest else [])
         check_python()
         set_up(find_ros())
     except SetupError as error:
