@@ -119,8 +119,8 @@ class FilterMessages:
         yield topics.UE_STATE, make_ue_state(types, time_ns, mean, covariance, frames)
         yield topics.ODOMETRY, odometry
         yield topics.LANDMARKS, make_map(types, time_ns, output.landmarks, self.bs, frames)
-        if time_ns < self._sent.get("pose", time_ns):
-            self._poses.clear()  # time has begun anew
+        if output.anew:
+            self._poses.clear()
         if self._due("pose", time_ns, self.drawing.path_spacing):
             self._poses.append(types("geometry_msgs/msg/PoseStamped")(header=header, pose=pose))
             del self._poses[: -self.drawing.path_poses]

@@ -10,7 +10,7 @@ from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.filter.estimates import reported_landmarks
 from dopslam_ros.core.parameters import ParameterError, declarations, from_mapping
-from dopslam_ros.core.saved import BEFORE_ALL, Saved
+from dopslam_ros.core.saved import BEFORE_ALL, SNAPSHOT, Saved
 from dopslam_ros.core.statefile import VERSION
 from dopslam_ros.options import write_json
 from dopslam_ros.storage import read_saved
@@ -38,6 +38,11 @@ def describe(saved: Saved) -> dict[str, Any]:
         }
         for n in range(len(everything.ids))
     ]
+    state = saved.mixture
+    vehicle = {
+        "state": state.ue_mean.tolist(),
+        "std": np.sqrt(np.diagonal(state.ue_covariance)).tolist(),
+    }
     return {
         "kind": saved.kind,
         "version": VERSION,
@@ -48,6 +53,7 @@ def describe(saved: Saved) -> dict[str, Any]:
         "hypotheses": len(saved.mixture.hypotheses),
         "parameters": dict(saved.parameters),
         "landmarks": landmarks,
+        **({"vehicle": vehicle} if saved.kind == SNAPSHOT else {}),
     }
 
 
@@ -61,6 +67,9 @@ def _print(about: dict[str, Any]) -> None:
         f"base station {list(settings['bs_position'])} m, vehicle's antenna at"
         f" {settings['ue_height']:g} m, coupling {settings['coupling']}"
     )
+    if "vehicle" in about:
+        x, y, heading, bias = about["vehicle"]["state"]
+        print(f"vehicle at {x:.2f}, {y:.2f} m, heading {heading:.4f} rad, clock bias {bias:.2f} m")
     print(
         f"{about['tracks']} landmarks, {about['tracks_out_of_view']} of them out of view;"
         f" {len(about['landmarks'])} sure enough to be reported:"

@@ -11,9 +11,11 @@ import pytest
 from dopslam_ros import topics
 from dopslam_ros.bag import BagReader
 from dopslam_ros.cli import main
+from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.scenario import load_scenario
+from dopslam_ros.core.session import FilterSession
 from dopslam_ros.core.simulator import all_landmarks
-from dopslam_ros.storage import read_saved
+from dopslam_ros.storage import read_saved, write_saved
 
 PAPER = Path(__file__).resolve().parents[1] / "bags" / "paper"
 
@@ -56,6 +58,17 @@ def test_a_replay_localises_in_a_map_and_leaves_it(
     states = {topic.name for topic in (topics.UE_STATE, topics.FILTER_EVENTS)}
     assert {"/" + name for name in states} <= set(BagReader(bag).topics)
     capsys.readouterr()
+
+
+def test_a_snapshot_is_described_with_its_vehicle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "last.dopstate"
+    write_saved(path, FilterSession(FilterParameters()).snapshot())
+    assert main(["map", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert "snapshot before the first set" in printed
+    assert "vehicle at 70.73, 0.00 m" in printed
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,7 @@ class FilterOutput:
         measurements: the paths that were used.
         associations: the hypotheses behind it, about these paths.
         step_seconds: time that the computation took.
+        anew: whether the estimation begins with it: the first one, or the first after a reset.
     """
 
     stamp_ns: int
@@ -63,6 +64,7 @@ class FilterOutput:
     measurements: MeasurementSet
     associations: Associations
     step_seconds: float
+    anew: bool = False
 
     @cached_property
     def landmarks(self) -> LandmarkEstimates:
@@ -133,8 +135,8 @@ class FilterSession(SteeredFilter):
         measurements = timed.item if known else _without_doppler(timed.item)
         control = timed.control or Control(0.0, 0.0)
         # Owed until a step succeeds: whatever goes wrong below, the motion is not forgotten.
-        self._owed = spans = () if self._anew else self._owed + timed.spans
-        self._anew = False
+        anew, self._anew = self._anew, False
+        self._owed = spans = () if anew else self._owed + timed.spans
         try:
             result = mixture_step(self._state, measurements, spans, control.speed, self.parameters)
         except np.linalg.LinAlgError:
@@ -152,6 +154,7 @@ class FilterSession(SteeredFilter):
             measurements=measurements,
             associations=result.associations,
             step_seconds=time.perf_counter() - started,
+            anew=anew,
         )
 
 

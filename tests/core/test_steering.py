@@ -109,7 +109,9 @@ def test_reset_is_the_beginning(snapshots: list[Snapshot]) -> None:
     assert event == Event("reset", snapshots[19].stamp_ns)
     np.testing.assert_array_equal(filtering.state.ue_mean, PARAMETERS.initial_state)
     # As if the filter had been started now: no motion leads to the first set.
-    assert bytes_of(feed(filtering, snapshots[20:])) == fresh
+    outputs = feed(filtering, snapshots[20:])
+    assert bytes_of(outputs) == fresh
+    assert [o.anew for o in outputs[:2]] == [True, False]
 
 
 def test_reset_keeps_the_map_of_the_start_and_not_a_later_one(snapshots: list[Snapshot]) -> None:
