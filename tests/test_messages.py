@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -184,6 +185,17 @@ def test_the_path_is_bounded() -> None:
         paths.append(found[topics.PATH.name])
     seconds = [[p.header.stamp.sec for p in path.poses] for path in paths]
     assert seconds == [[1], [1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]]
+
+
+def test_the_path_ends_where_the_estimation_begins_anew() -> None:
+    """After a reset no line leads from the old place to the new one."""
+    messages = FilterMessages(message_class, BS, drawing=DrawingParameters(9, 0.0, 0.0))
+    lengths = []
+    for number, anew in enumerate([True, False, False, True, False]):
+        one = replace(output(landmarks(), 10**9 + number), anew=anew)
+        found = {topic.name: message for topic, message in messages.of(one)}
+        lengths.append(len(found[topics.PATH.name].poses))
+    assert lengths == [1, 2, 3, 1, 2]
 
 
 def test_what_is_only_drawn_is_paced_by_the_time_of_the_sets() -> None:
