@@ -50,7 +50,7 @@ setup(
         "plotly>=5.15,<8",
         "tqdm>=4.60,<5",
         "rosbags>=0.11.9,<0.12",
-        "mcap>=1.5,<2",
+        "zstandard>=0.22,<1",
     ],
     extras_require={
         # For `dopslam study` on a cluster; threadpoolctl also keeps local studies to one thread.
@@ -61,6 +61,7 @@ setup(
             "pytest-timeout>=2.2,<3",
             "pytest-xdist>=3.4,<4",
             "stonesoup>=1.4,<2",
+            "mcap>=1.5,<2",
             "mypy>=1.10,<3",
             "ruff>=0.6,<1",
             "selenium>=4.15,<5",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,21 +47,21 @@ def dump(summary: Summary) -> str:
     return _yaml(_information(summary)).strip()
 
 
-def write(folder: Path, summary: Summary) -> None:
+def write(folder: Path, information: str) -> None:
     """Write ``metadata.yaml``: whole or not at all.
 
     Args:
         folder: Folder of the bag.
-        summary: What it contains.
+        information: What ``dump`` said about it.
 
     Raises:
         OSError: The disk refused.
     """
-    document = {"rosbag2_bagfile_information": _information(summary)}
+    document = f"rosbag2_bagfile_information:\n{textwrap.indent(information, '  ')}\n"
     temporary = folder / f"{FILE_NAME}.tmp"
     try:
         with temporary.open("w", encoding="utf-8") as stream:
-            stream.write(_yaml(document))
+            stream.write(document)
             stream.flush()
             os.fsync(stream.fileno())
         temporary.replace(folder / FILE_NAME)

@@ -8,12 +8,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, cast
 
-from mcap.writer import CompressionType, Writer
-
+from dopslam_ros import __version__
 from dopslam_ros.bag import metadata
 from dopslam_ros.bag.errors import BagExistsError, BagWriteError
+from dopslam_ros.bag.mcapwriter import McapWriter
 from dopslam_ros.bag.qos import OfferedQos, to_yaml
 from dopslam_ros.bag.reader import TopicInfo
 from dopslam_ros.bag.typestore import definition as definition_of
@@ -75,10 +74,7 @@ class BagWriter:
         self._flushed = self._synced = time.monotonic()
         self._closed = False
         self._sink = _create(self.path)
-        self._mcap = Writer(
-            cast("IO[bytes]", self._sink), chunk_bytes, compression=CompressionType.ZSTD
-        )
-        self._mcap.start(profile="ros2")
+        self._mcap = McapWriter(self._sink, chunk_bytes, f"dopslam_ros {__version__}")
         self._commit()
 
     @property
@@ -154,7 +150,7 @@ class BagWriter:
                 f"a message on '{topic}' has log time {log_time_ns} ns and publish time {sent_ns} "
                 "ns: both must be in [0, 2^63)"
             )
-        self._mcap.add_message(entry.channel, log_time_ns, payload, sent_ns)
+        self._mcap.add_message(entry.channel, log_time_ns, sent_ns, payload)
         entry.message_count += 1
         self._extend(log_time_ns)
         self._after_message()
@@ -167,7 +163,7 @@ class BagWriter:
         """
         self._check_open()
         self._flushed = time.monotonic()
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._mcap.finish_chunk()
         self._commit()
 
     def close(self) -> None:
@@ -209,10 +205,9 @@ class BagWriter:
     ) -> None:
         text = definition_of(type_name) if definition is None else definition
         digest = type_hash_of(type_name) if type_hash is None else type_hash
-        channel = self._mcap.register_channel(
-            topic,
-            "cdr",
+        channel = self._mcap.add_channel(
             self._schema(type_name, text),
+            topic,
             {"offered_qos_profiles": to_yaml(qos), "topic_type_hash": digest},
         )
         self._topics[topic] = _Topic(channel, type_name, digest, qos)
@@ -221,7 +216,7 @@ class BagWriter:
         schema = self._schemas.get((type_name, text))
         if schema is None:
             encoding = "ros2idl" if text.startswith(_IDL_START) else "ros2msg"
-            schema = int(self._mcap.register_schema(type_name, encoding, text.encode()))
+            schema = self._mcap.add_schema(type_name, encoding, text.encode())
             self._schemas[type_name, text] = schema
         return schema
 
@@ -252,16 +247,16 @@ class BagWriter:
             raise self._failure(error) from error
 
     def _finish(self) -> None:
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._mcap.finish_chunk()
         self._sink.commit()
-        summary = metadata.Summary(
-            self._sink.name, self._recorded_topics(), self._start_ns, self._end_ns
+        information = metadata.dump(
+            metadata.Summary(self._sink.name, self._recorded_topics(), self._start_ns, self._end_ns)
         )
-        self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata.dump(summary)})
-        self._mcap.finish()  # type: ignore[no-untyped-call]
+        self._mcap.add_metadata("rosbag2", {"serialized_metadata": information})
+        self._mcap.finish()
         self._sink.commit()
         self._sink.sync()
-        metadata.write(self.path, summary)
+        metadata.write(self.path, information)
 
     def _recorded_topics(self) -> dict[str, metadata.RecordedTopic]:
         return {
@@ -299,9 +294,6 @@ class _Sink:
     def tell(self) -> int:
         """Offset of the next byte."""
         return self._size + len(self.pending)
-
-    def flush(self) -> None:
-        """Do nothing: ``commit`` decides when bytes leave."""
 
     def commit(self) -> None:
         """Write the group; when the disk refuses, the file stays as it was before the group."""

@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
@@ -27,6 +31,7 @@ from dopslam_ros.bag import (
     Durability,
     OfferedQos,
     definition,
+    to_yaml,
     type_hash,
 )
 
@@ -70,6 +75,38 @@ def test_mcap_takes_it_as_a_file_of_ros2(tmp_path: Path, samples: Any, write_bag
     whole = yaml.safe_load((path / "metadata.yaml").read_text())
     inner = yaml.safe_load(record.metadata["serialized_metadata"])
     assert whole == {"rosbag2_bagfile_information": inner}
+
+
+def test_file_is_byte_for_byte_what_mcap_writes(
+    tmp_path: Path, samples: Any, write_bag: Any
+) -> None:
+    """The official library, told the same, writes the same file: index, statistics and all."""
+    ours = (write_bag(tmp_path / "bag", samples, 3000) / "bag_0.mcap").read_bytes()
+    info = BagReader(tmp_path / "bag").topics
+    stream = BytesIO()
+    theirs = McapWriter(stream, 3000, compression=CompressionType.ZSTD)
+    theirs.start("ros2", f"dopslam_ros {dopslam_ros.__version__}")
+    channels = {}
+    for topic in ("/state", "/odometry"):
+        kind = info[topic]
+        schema = theirs.register_schema(kind.type_name, "ros2msg", kind.definition.encode())
+        described = {
+            "offered_qos_profiles": to_yaml(kind.qos),
+            "topic_type_hash": kind.type_hash,
+        }
+        channels[topic] = theirs.register_channel(topic, "cdr", schema, described)
+    for sample in samples:
+        theirs.add_message(
+            channels[sample.topic], sample.log_time_ns, sample.payload, sample.publish_time_ns
+        )
+    document = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
+    text = (tmp_path / "bag" / "metadata.yaml").read_text().partition("\n")[2]
+    inner = textwrap.dedent(text).strip()
+    assert yaml.safe_load(inner) == document["rosbag2_bagfile_information"]
+    theirs.flush()
+    theirs.add_metadata("rosbag2", {"serialized_metadata": inner})
+    theirs.finish()
+    assert stream.getvalue() == ours
 
 
 def test_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
