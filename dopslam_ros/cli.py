@@ -49,6 +49,7 @@ EXAMPLES = {
     "replay": "dopslam replay bags/paper --json result.json --param gamma=1",
     "report": "dopslam report bags/paper --out paper.html",
     "map": "dopslam map ~/.ros/dopslam/hall.dopmap",
+    "compare": "dopslam compare bags/paper bags/paper:doppler=none --out doppler.html",
     "bounds": "dopslam bounds --sigma-d 0.1 0.5",
     "study": "dopslam study --filters joint marginal --doppler 0.1 none --out runs/study",
     "figures": "dopslam figures runs/study --out runs/figures",
@@ -127,6 +128,9 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("report", reporting.report, "a run as one page for the browser, map over time")
     reporting.add_report_arguments(sub)
+
+    sub = command("compare", reporting.compare, "runs, or one run set in several ways, in numbers")
+    reporting.add_compare_arguments(sub)
 
     sub = command("bounds", _bounds, "error bounds at the last step, for several Doppler noises")
     add_scenario(sub, "paper_bounds")

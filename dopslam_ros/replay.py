@@ -129,16 +129,13 @@ def replay(
     prefix = _prefix(reader)
     names = {prefix + topic.name: topic for topic in topics.INPUTS}
     settings = _recorded_settings(reader, prefix)
-    known = {d.name for d in declarations(FilterParameters)}
     frames = Frames(
         str(settings.get("map_frame", Frames.map)), str(settings.get("base_frame", Frames.base))
     )
-    drawn = {d.name for d in declarations(DrawingParameters)}
-    drawing = from_mapping(
-        DrawingParameters, {name: value for name, value in settings.items() if name in drawn}
+    drawing = from_mapping(DrawingParameters, _those_of(DrawingParameters, settings))
+    parameters = from_mapping(
+        FilterParameters, {**_those_of(FilterParameters, settings), **(overrides or {})}
     )
-    filter_settings = {name: value for name, value in settings.items() if name in known}
-    parameters = from_mapping(FilterParameters, {**filter_settings, **(overrides or {})})
 
     has_truth = prefix + topics.TRUTH_UE.name in reader.topics
     run = _Run(parameters, frames, drawing, prefix, has_truth, writer)
@@ -151,6 +148,17 @@ def replay(
     run.finish()
     run.result.damage = reader.damage
     return run.result
+
+
+def recorded_parameters(reader: BagReader) -> FilterParameters:
+    """What the filter was set to when the bag was recorded; defaults where the bag does not say.
+
+    Raises:
+        ReplayError: the bag has no measurement sets.
+        BagError: the bag cannot be read.
+    """
+    settings = _recorded_settings(reader, _prefix(reader))
+    return from_mapping(FilterParameters, _those_of(FilterParameters, settings))
 
 
 class _Run:
@@ -297,6 +305,12 @@ def _prefix(reader: BagReader) -> str:
             f" not {expected}"
         )
     return prefixes[0]
+
+
+def _those_of(parameters: type[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings that belong to some parameters."""
+    known = {declared.name for declared in declarations(parameters)}
+    return {name: value for name, value in settings.items() if name in known}
 
 
 def _recorded_settings(reader: BagReader, prefix: str) -> dict[str, Any]:

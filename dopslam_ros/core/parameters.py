@@ -11,6 +11,7 @@ import dataclasses
 import difflib
 import itertools
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar, cast
 
@@ -193,6 +194,16 @@ def parse_assignment(text: str) -> tuple[str, object]:
         with contextlib.suppress(ValueError):
             return name.strip(), float(parsed)
     return name.strip(), parsed
+
+
+def parse_assignments(text: str) -> dict[str, object]:
+    """Names and values of ``NAME=VALUE,NAME=VALUE``; lists may have commas of their own.
+
+    Raises:
+        ParameterError: not of this form, or a value is no YAML.
+    """
+    # Only a comma before the next name separates.
+    return dict(map(parse_assignment, re.split(r",(?=\s*\w+\s*=)", text)))
 
 
 def checked_values(parameters: type[Any], mapping: Mapping[str, object]) -> dict[str, Value]:

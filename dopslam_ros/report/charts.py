@@ -1,7 +1,7 @@
 """The charts of a run, as plotly takes them.
 
-In a chart "@name" stands for a column of the page's data and "$name" for a colour of its palette:
-the page puts them in, and changes the colours with its theme.
+In a chart "@name" stands for a column of the page's data, "$name" for a colour of its palette and
+"$name~" for the same colour, faint: the page puts them in, and changes the colours with its theme.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ class Chart(NamedTuple):
         text: what is seen, and what is good.
         traces: as in plotly.
         layout: what differs from the layout that all charts have.
+        over_time: whether x is the time, which all charts show the same piece of.
     """
 
     key: str
@@ -29,6 +30,7 @@ class Chart(NamedTuple):
     text: str
     traces: list[dict[str, Any]]
     layout: dict[str, Any]
+    over_time: bool = True
 
 
 class Section(NamedTuple):
@@ -41,7 +43,7 @@ class Section(NamedTuple):
     needs_truth: bool = False
 
 
-_SIZES = (("position", "Position", "m"), ("heading", "Heading", "deg"), ("clock", "Clock", "m"))
+UNITS = {"position": "m", "heading": "deg", "clock": "m"}
 _PARTS = (
     ("distance", "GOSPA", "$halo", "solid", 5.0),
     ("localisation", "localisation", "$bound", "solid", 1.4),
@@ -72,7 +74,7 @@ def sections(has_truth: bool, has_bounds: bool) -> list[Section]:
                 else " Errors need the truth, which is not in this bag: the filter's own sigma"
                 " should lie on the bound, here evaluated at the estimate."
             ),
-            [_size(*size, has_truth, has_bounds) for size in _SIZES],
+            [_size(size, has_truth, has_bounds) for size in UNITS],
         ),
         Section(
             "map",
@@ -106,54 +108,57 @@ def sections(has_truth: bool, has_bounds: bool) -> list[Section]:
     ]
 
 
-def _line(column: str, name: str, colour: str, **more: Any) -> dict[str, Any]:
-    line = {"color": colour, "width": more.pop("width", 1.6), "dash": more.pop("dash", "solid")}
+def line(column: str, name: str, colour: str, **more: Any) -> dict[str, Any]:
+    """A column over time; ``width``, ``dash`` and what else a trace may have."""
+    look = {"color": colour, "width": more.pop("width", 1.6), "dash": more.pop("dash", "solid")}
     return {
         "type": "scatter",
         "mode": "lines",
         "x": "@time",
         "y": f"@{column}",
         "name": name,
-        "line": line,
+        "line": look,
         **more,
     }
 
 
-def _y(title: str, **more: Any) -> dict[str, Any]:
+def y_axis(title: str, **more: Any) -> dict[str, Any]:
+    """A layout with a y axis that begins at zero."""
     return {"yaxis": {"title": {"text": title}, "rangemode": "tozero", **more}}
 
 
-def _size(key: str, title: str, unit: str, has_truth: bool, has_bounds: bool) -> Chart:
+def _size(key: str, has_truth: bool, has_bounds: bool) -> Chart:
     traces = []
     if has_truth:
-        traces.append(_line(f"error_{key}", "error", "$estimate", width=1.3))
-    traces.append(_line(f"sigma_{key}", "filter's sigma", "$estimate", dash="dot"))
+        traces.append(line(f"error_{key}", "error", "$estimate", width=1.3))
+    traces.append(line(f"sigma_{key}", "filter's sigma", "$estimate", dash="dot"))
     if has_bounds:
         traces += [
-            _line(f"bound_{key}", "bound", "$bound", width=2.2),
-            _line(f"plain_bound_{key}", "bound without Doppler", "$bound", dash="dash"),
+            line(f"bound_{key}", "bound", "$bound", width=2.2),
+            line(f"plain_bound_{key}", "bound without Doppler", "$bound", dash="dash"),
         ]
-    return Chart(f"error-{key}", title, "", traces, _y(f"[{unit}]"))
+    return Chart(f"error-{key}", key.capitalize(), "", traces, y_axis(f"[{UNITS[key]}]"))
 
 
 def _gospa(key: str, title: str) -> Chart:
     traces = [
-        _line(f"{key}_{part}", name, colour, dash=dash, width=width)
+        line(f"{key}_{part}", name, colour, dash=dash, width=width)
         for part, name, colour, dash, width in _PARTS
     ]
-    return Chart(f"gospa-{key}", title, "", traces, _y("[m]"))
+    return Chart(f"gospa-{key}", title, "", traces, y_axis("[m]"))
 
 
-def _band(name: str) -> Iterable[dict[str, Any]]:
+def confidence_band(name: str) -> Iterable[dict[str, Any]]:
+    """Where a number should be, between its columns ``_low`` and ``_high``."""
     edge = {"width": 0, "hoverinfo": "skip"}
-    yield _line(f"{name}_low", "", "$band", showlegend=False, **edge)
-    yield _line(
+    yield line(f"{name}_low", "", "$band", showlegend=False, **edge)
+    yield line(
         f"{name}_high", f"{CONFIDENCE:.0%} band", "$band", fill="tonexty", fillcolor="$band", **edge
     )
 
 
 def _dots(column: str, name: str, colour: str) -> dict[str, Any]:
-    dots = _line(column, name, colour, width=0.8)
+    dots = line(column, name, colour, width=0.8)
     return dots | {"mode": "lines+markers", "marker": {"color": colour, "size": 4}}
 
 
@@ -162,8 +167,8 @@ def _consistency(has_truth: bool) -> list[Chart]:
         "nis",
         "NIS: paths against what the filter foresaw, over its degrees of freedom",
         "",
-        [*_band("nis"), _dots("nis", "NIS / dof", "$estimate")],
-        _y("NIS / dof"),
+        [*confidence_band("nis"), _dots("nis", "NIS / dof", "$estimate")],
+        y_axis("NIS / dof"),
     )
     if not has_truth:
         return [nis]
@@ -171,8 +176,8 @@ def _consistency(has_truth: bool) -> list[Chart]:
         "nees",
         "NEES of the vehicle: error against its own covariance",
         "",
-        [*_band("nees"), _dots("nees", "NEES", "$estimate")],
-        _y("NEES (ideal 4)"),
+        [*confidence_band("nees"), _dots("nees", "NEES", "$estimate")],
+        y_axis("NEES (ideal 4)"),
     )
     return [nees, nis]
 
@@ -188,7 +193,7 @@ def _sources() -> Chart:
         }
         for source in Source
     ]
-    return Chart("sources", "Paths of a set", "", traces, _y("paths") | {"barmode": "stack"})
+    return Chart("sources", "Paths of a set", "", traces, y_axis("paths") | {"barmode": "stack"})
 
 
 def _weights() -> Chart:
@@ -198,13 +203,15 @@ def _weights() -> Chart:
         ("weight_rest", "all others", "$clutter"),
     )
     traces = [
-        _line(column, name, colour, width=0.5, stackgroup="weights", fillcolor=colour)
+        line(column, name, colour, width=0.5, stackgroup="weights", fillcolor=colour)
         for column, name, colour in shares
     ]
-    return Chart("weights", "Weight of the associations", "", traces, _y("weight", range=[0, 1]))
+    return Chart(
+        "weights", "Weight of the associations", "", traces, y_axis("weight", range=[0, 1])
+    )
 
 
 def _times() -> Chart:
-    trace = _line("milliseconds", "step", "$bound", width=1.0)
+    trace = line("milliseconds", "step", "$bound", width=1.0)
     layout = {"yaxis": {"title": {"text": "[ms]"}, "type": "log"}}
     return Chart("times", "Time of a step", "", [trace], layout)

@@ -1,4 +1,4 @@
-"""``dopslam report``: a run as a page for the browser."""
+"""``dopslam report`` and ``dopslam compare``: runs as pages for the browser."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from dopslam_ros.bag import BagReader
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.warmup import warm_up_filter
 from dopslam_ros.files import write_whole
-from dopslam_ros.options import add_settings, read_settings, with_progress
+from dopslam_ros.options import add_json, add_settings, read_settings, with_progress, write_json
 from dopslam_ros.replay import replay
+from dopslam_ros.report.cases import parse_case, run_cases
+from dopslam_ros.report.compare_page import compare_page, comparison_cells, remarks
+from dopslam_ros.report.comparison import compare as compare_cases
 from dopslam_ros.report.page import plotting_library
 from dopslam_ros.report.recorded import last_reports
 from dopslam_ros.report.run_page import run_page
+from dopslam_ros.study.table import aligned
 
 
 def add_report_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,4 +43,48 @@ def report(options: Any) -> int:
     print(f"{len(run.outputs)} steps of {options.bag}: open {out} in a browser")
     if run.damage:
         print(f"damaged bag: {run.damage}")
+    return 0
+
+
+def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.add_argument(
+        "cases",
+        nargs="+",
+        metavar="CASE",
+        help="[NAME=]BAG[:SETTING=VALUE,...]; the others are compared with the first",
+    )
+    parser.add_argument("--out", type=Path, metavar="F", help="a page (.html) with the curves")
+    add_settings(parser)
+    add_json(parser)
+    parser.epilog = f"""\
+BAG is a bag, or a folder of bags: a run each. It is filtered as it was recorded, or with
+settings of its own: parameters of the filter, and doppler=M/S or doppler=none. What has
+the same NAME are runs of one case.
+
+examples:
+  dopslam compare bags/paper bags/paper:doppler=none --out doppler.html
+  dopslam compare joint=runs/sims paper=runs/sims:coupling=marginal
+{str(parser.epilog).replace("example:", "").strip(chr(10))}"""
+
+
+def compare(options: Any) -> int:
+    """Filters every bag, prints the tables and writes the page."""
+    if options.out is not None:
+        plotting_library()
+    wanted = [parse_case(text) for text in options.cases]
+    settings = read_settings(options)
+    warm_up_filter(FilterParameters())
+    progress = partial(with_progress, total=None, description="replay")
+    found = compare_cases(run_cases(wanted, settings, progress))
+    for text in remarks(found.summary):
+        print(text)
+    for title, cells in comparison_cells(found.summary):
+        print("" if not title else f"\n{title}")
+        for text in aligned(cells):
+            print(text)
+    write_json(options.json, found.summary)
+    if options.out is not None:
+        write_whole(options.out, compare_page(found).encode("utf-8"))
+        print(f"\nopen {options.out} in a browser")
     return 0

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from html import escape
+from html import escape, unescape
 from importlib import resources
 from typing import Any
+
+import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.report.charts import Chart, Section
@@ -77,7 +79,13 @@ def page(
         "palette": PALETTE,
         "columns": packed(columns),
         "charts": [
-            {"key": chart.key, "traces": chart.traces, "layout": chart.layout} for chart in charts
+            {
+                "key": chart.key,
+                "traces": chart.traces,
+                "layout": chart.layout,
+                "overTime": chart.over_time,
+            }
+            for chart in charts
         ],
     }
     code = [plotting_library(), *map(asset, scripts)]
@@ -103,6 +111,12 @@ def page(
 def asset(name: str) -> str:
     """A file that comes with this package."""
     return (resources.files("dopslam_ros.report") / "assets" / name).read_text("utf-8")
+
+
+def time_range(time: FloatArray) -> list[float]:
+    """What the charts show: half a step more than the run at both ends, for bars."""
+    margin = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.5
+    return [float(time[0]) - margin, float(time[-1]) + margin]
 
 
 # --- pieces of HTML ------------------------------------------------------------------------------
@@ -134,7 +148,7 @@ def _charts(found: Section) -> Iterator[str]:
 
 def _key(chart: Chart) -> str:
     """What the lines mean; of a single line the axis says it."""
-    named = [trace for trace in chart.traces if trace.get("name")]
+    named = [t for t in chart.traces if t.get("name") and t.get("showlegend", True)]
     if len(named) < 2:
         return ""
     return '<div class="key">{}</div>'.format("".join(map(_key_entry, named)))
@@ -145,7 +159,7 @@ def _key_entry(trace: Mapping[str, Any]) -> str:
     filled = trace["type"] == "bar" or "fillcolor" in trace
     colour = trace.get("fillcolor") or trace.get("marker", line)["color"]
     kind = "box" if filled else DASHES.get(line.get("dash", "solid"), "")
-    return f"<span>{swatch(colour.removeprefix('$'), kind)}{escape(trace['name'])}</span>"
+    return f"<span>{swatch(colour.removeprefix('$'), kind)}{escape(unescape(trace['name']))}</span>"
 
 
 # Names of swatches by those of plotly's dashes.

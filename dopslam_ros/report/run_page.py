@@ -9,7 +9,6 @@ from html import escape
 import numpy as np
 from scipy.stats import chi2
 
-from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.evaluation import summarise
 from dopslam_ros.core.parameters import declarations
@@ -17,7 +16,7 @@ from dopslam_ros.filter_messages import ELLIPSOID_PROBABILITY
 from dopslam_ros.replay import Replay
 from dopslam_ros.report.charts import SOURCE_COLOURS, Section, sections
 from dopslam_ros.report.page import DASHES as SWATCHES
-from dopslam_ros.report.page import card, notice, page, section, swatch, table, tiles
+from dopslam_ros.report.page import card, notice, page, section, swatch, table, tiles, time_range
 from dopslam_ros.report.recorded import Reports
 from dopslam_ros.report.scene import NAMES, Source, extent_of, scene_of
 from dopslam_ros.report.series import Series, series_of
@@ -54,7 +53,7 @@ def run_page(run: Replay, name: str, recorded: Reports) -> str:
     magnified = _magnification(scene, extent)
     data = {
         "xTitle": "time [s]",
-        "xRange": _time_range(series["time"]),
+        "xRange": time_range(series["time"]),
         "extent": extent,
         "bs": run.parameters.bs[:2].tolist(),
         "truth": _true_landmarks(run),
@@ -71,12 +70,6 @@ def run_page(run: Replay, name: str, recorded: Reports) -> str:
 
 
 SCRIPTS = ("charts.js", "map.js", "player.js")
-
-
-def _time_range(time: FloatArray) -> list[float]:
-    """Half a step more than the run at both ends, for bars."""
-    margin = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.5
-    return [float(time[0]) - margin, float(time[-1]) + margin]
 
 
 def _counts(scene: Series, steps: int) -> Series:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from dopslam_ros.core.motion import Control, ControlSpan, predict_covariance, pr
 from dopslam_ros.core.parameters import (
     ParameterError,
     checked_values,
-    parse_assignment,
+    parse_assignments,
     unknown_name,
 )
 from dopslam_ros.core.phd import initial_phd, phd_landmarks, phd_step
@@ -112,11 +111,9 @@ def parse_label(label: str) -> tuple[Kind, dict[str, object]]:
     name, colon, text = label.partition(":")
     if name not in KINDS:
         raise ParameterError(unknown_name("filter", name, KINDS))
-    # Only a comma before the next name separates: lists have commas too.
-    items = re.split(r",(?=\s*\w+\s*=)", text) if colon else []
     try:
         values: dict[str, object] = {
-            **checked_values(FilterParameters, dict(map(parse_assignment, items)))
+            **checked_values(FilterParameters, parse_assignments(text) if colon else {})
         }
     except ParameterError as error:
         raise ParameterError(f"filter '{label}': {error}") from error

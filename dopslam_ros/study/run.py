@@ -9,7 +9,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import LandmarkType
-from dopslam_ros.core.evaluation import judge_step
+from dopslam_ros.core.evaluation import StepRecord, judge_step
 from dopslam_ros.core.model import with_doppler_std
 from dopslam_ros.core.session import BoundsSession, WorldState
 from dopslam_ros.core.simulator import all_landmarks, simulate
@@ -87,11 +87,15 @@ def run_task(plan: Plan, task: Task) -> Part:
             sps,
             bound.with_doppler,
         )
-        gospas = (judged.gospa_va, judged.gospa_sp)
-        weight = estimate.correct_weight
-        rows.append([*judged.error, judged.nees, *gospas, *judged.bound, weight])
+        rows.append(table_row(judged, estimate.correct_weight))
         seconds.append(estimate.seconds)
     return Part(np.array(rows), np.array(seconds))
+
+
+def table_row(judged: StepRecord, correct_weight: float) -> list[float]:
+    """A step as FIELDS."""
+    gospas = (judged.gospa_va, judged.gospa_sp)
+    return [*judged.error, judged.nees, *gospas, *judged.bound, correct_weight]
 
 
 def execute(plan: Plan, versions: dict[str, str], task: Task) -> Outcome:

@@ -7,6 +7,7 @@ draws the same ones for all of them, so that differences are those of pairs.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,15 +65,9 @@ def summarise_study(results: Results) -> dict[str, Any]:
     ratios to the first filter, of the same runs. Numbers that do not exist are NaN.
     """
     plan = results.plan
-    averages = {case: averages_of(table) for case, table in results.tables.items()}
     runs = len(results.run_numbers)
-    draws = resamples(runs)
-    drawn = {case: _resampled(of_run, draws) for case, of_run in averages.items()}
-    rows = [
-        _row((label, doppler), plan.filters[0], averages, drawn)
-        for doppler in plan.dopplers
-        for label in plan.filters
-    ]
+    cases = [(label, doppler) for doppler in plan.dopplers for label in plan.filters]
+    averages = {case: averages_of(results.tables[case]) for case in cases}
     return {
         "scenario": plan.scenario.name,
         "seed": plan.seed,
@@ -82,8 +77,20 @@ def summarise_study(results: Results) -> dict[str, Any]:
         "settings": dict(plan.settings),
         "confidence": CONFIDENCE,
         "nees_band": nees_band(runs),
-        "rows": rows,
+        "rows": summary_rows(averages, plan.filters[0]),
     }
+
+
+def summary_rows(averages: Mapping[Case, Averages], first: str) -> list[dict[str, Any]]:
+    """The numbers of each case with their intervals, and over those of the first filter.
+
+    Args:
+        averages: of the same runs in every case.
+        first: the filter that the others are compared with.
+    """
+    draws = resamples(len(next(iter(averages.values())).plain))
+    drawn = {case: _resampled(of_run, draws) for case, of_run in averages.items()}
+    return [_row(case, first, averages, drawn) for case in averages]
 
 
 def averages_of(table: FloatArray) -> Averages:
@@ -147,7 +154,7 @@ def resamples(runs: int) -> IntArray:
 
 
 def _row(
-    case: Case, first: str, averages: dict[Case, Averages], drawn: dict[Case, Averages]
+    case: Case, first: str, averages: Mapping[Case, Averages], drawn: Mapping[Case, Averages]
 ) -> dict[str, Any]:
     label, doppler = case
     values, spreads = _found(averages[case]), statistics(drawn[case])

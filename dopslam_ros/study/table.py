@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 Row = dict[str, Any]
@@ -27,26 +27,47 @@ def study_table(summary: Row, timing: list[Row]) -> Iterator[str]:
         f"in brackets: {summary['confidence']:.0%} of the bootstrap over runs;"
         f" an honest NEES lies in {low:.2f} .. {high:.2f}"
     )
-    first = summary["rows"][0]["filter"]
     times = {(row["filter"], row["doppler"]): row["step_ms_p50"] for row in timing}
-    accuracy, consistency = [_HEAD_ACCURACY], [_HEAD_CONSISTENCY]
-    for row in summary["rows"]:
-        accuracy.append(_accuracy(row))
-        consistency.append(_consistency(row, times[row["filter"], row["doppler"]]))
-    yield ""
-    yield from _aligned(accuracy)
-    yield ""
-    yield from _aligned(consistency)
-    compared = [row for row in summary["rows"] if "to_first" in row]
-    if compared:
+    milliseconds = [times[row["filter"], row["doppler"]] for row in summary["rows"]]
+    for title, cells in result_cells(summary["rows"], milliseconds, ["filter", "Doppler"], _name):
         yield ""
-        yield f"over those of {first} on the same runs (below 1: better)"
-        yield from _aligned([_HEAD_COMPARED, *map(_compared, compared)])
+        if title:
+            yield title
+        yield from aligned(cells)
 
 
-_HEAD_ACCURACY = [
-    "filter",
-    "Doppler",
+Cells = list[list[str]]
+
+
+def result_cells(
+    rows: Sequence[Row],
+    milliseconds: Sequence[float],
+    head: list[str],
+    name: Callable[[Row], list[str]],
+) -> Iterator[tuple[str, Cells]]:
+    """What rows of ``summary.summary_rows`` say, as tables with their titles.
+
+    Args:
+        rows: the first is what the others are compared with.
+        milliseconds: median time of a step of each.
+        head: of the columns that name a row.
+        name: what stands in these.
+    """
+    yield "", [head + _ACCURACY, *(name(row) + _accuracy(row) for row in rows)]
+    yield (
+        "",
+        [
+            head + _CONSISTENCY,
+            *(name(r) + _consistency(r, ms) for r, ms in zip(rows, milliseconds, strict=True)),
+        ],
+    )
+    compared = [row for row in rows if "to_first" in row]
+    if compared:
+        title = f"over those of {name(rows[0])[0]} on the same runs (below 1: better)"
+        yield title, [head + _COMPARED, *(name(row) + _compared(row) for row in compared)]
+
+
+_ACCURACY = [
     "position [m]",
     "over bound",
     "heading [deg]",
@@ -54,20 +75,12 @@ _HEAD_ACCURACY = [
     "clock [m]",
     "over bound",
 ]
-_HEAD_CONSISTENCY = [
-    "filter",
-    "Doppler",
-    "NEES",
-    "GOSPA VA [m]",
-    "GOSPA SP [m]",
-    "association",
-    "step [ms]",
-]
-_HEAD_COMPARED = ["filter", "Doppler", "position", "heading", "clock", "GOSPA VA", "GOSPA SP"]
+_CONSISTENCY = ["NEES", "GOSPA VA [m]", "GOSPA SP [m]", "association", "step [ms]"]
+_COMPARED = ["position", "heading", "clock", "GOSPA VA", "GOSPA SP"]
 
 
 def _accuracy(row: Row) -> list[str]:
-    cells = _name(row)
+    cells = []
     names = ("position_rmse", "heading_rmse_deg", "clock_bias_rmse")
     for name, ratio in zip(names, ("position", "heading", "clock"), strict=True):
         cells += [_plain(row[name]), _bracketed(row[f"{ratio}_to_bound"])]
@@ -77,11 +90,11 @@ def _accuracy(row: Row) -> list[str]:
 def _consistency(row: Row, milliseconds: float) -> list[str]:
     numbers = (row["nees_mean"], row["gospa_va"], row["gospa_sp"])
     weight = _bracketed(row["correct_association_weight"], 3)
-    return [*_name(row), *map(_bracketed, numbers), weight, f"{milliseconds:.2f}"]
+    return [*map(_bracketed, numbers), weight, f"{milliseconds:.2f}"]
 
 
 def _compared(row: Row) -> list[str]:
-    return [*_name(row), *map(_bracketed, row["to_first"].values())]
+    return [*map(_bracketed, row["to_first"].values())]
 
 
 def _name(row: Row) -> list[str]:
@@ -90,7 +103,7 @@ def _name(row: Row) -> list[str]:
 
 
 def _plain(found: Row) -> str:
-    return f"{found['value']:.4f}"
+    return "-" if math.isnan(found["value"]) else f"{found['value']:.4f}"
 
 
 def _bracketed(found: Row, digits: int = 2) -> str:
@@ -103,7 +116,7 @@ def _bracketed(found: Row, digits: int = 2) -> str:
     return f"{text} [{found['low']:.{digits}f}, {found['high']:.{digits}f}]"
 
 
-def _aligned(lines: list[list[str]]) -> Iterator[str]:
+def aligned(lines: Cells) -> Iterator[str]:
     """Columns of one width, the first to the left."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for first, *others in lines:

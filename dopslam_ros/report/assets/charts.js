@@ -17,8 +17,16 @@ const columns = Object.fromEntries(
 
 const theme = {
   get name() { return document.documentElement.dataset.theme; },
-  colour(name) { return data.palette[name][this.name === 'dark' ? 1 : 0]; },
+  colour(name) {
+    if (name.endsWith('~')) return faint(this.colour(name.slice(0, -1)));
+    return data.palette[name][this.name === 'dark' ? 1 : 0];
+  },
 };
+
+function faint(hex) {
+  const parts = [1, 3, 5].map((start) => parseInt(hex.slice(start, start + 2), 16));
+  return `rgba(${parts.join(',')},0.2)`;
+}
 
 // "@name" becomes a column, "$name" a colour.
 function resolved(value) {
@@ -86,7 +94,7 @@ async function startCharts(onPick) {
     await new Promise((resolve) => setTimeout(resolve));
     await drawChart(chart);
     plot.on('plotly_click', (event) => onPick && onPick(event.points[0].x));
-    plot.on('plotly_relayout', (change) => shareZoom(plot, change));
+    if (chart.spec.overTime) plot.on('plotly_relayout', (change) => shareZoom(plot, change));
     plot.on('plotly_afterplot', () => moveCursors());
   }
   moveCursors();
@@ -94,6 +102,8 @@ async function startCharts(onPick) {
 }
 
 // All charts show the same piece of time.
+const timed = () => charts.filter(({spec}) => spec.overTime);
+
 let sharing = false;
 function shareZoom(source, change) {
   if (sharing || !Object.keys(change).some((key) => key.startsWith('xaxis.'))) return;
@@ -101,7 +111,7 @@ function shareZoom(source, change) {
   // A double click asks for all of it.
   const {range, autorange} = source.layout.xaxis;
   const same = {'xaxis.range': [...(autorange ? data.xRange : range)]};
-  const others = charts.filter(({plot}) => autorange || plot !== source);
+  const others = timed().filter(({plot}) => autorange || plot !== source);
   Promise.all(others.map(({plot}) => Plotly.relayout(plot, same))).then(() => {
     sharing = false;
     moveCursors();
@@ -112,7 +122,7 @@ let cursorTime = null;
 function moveCursors(time) {
   if (typeof time === 'number') cursorTime = time;
   if (cursorTime === null) return;
-  for (const {plot, cursor} of charts) {
+  for (const {plot, cursor} of timed()) {
     const full = plot._fullLayout;
     if (!full || !full.xaxis) continue;
     const {_offset: left, _length: width, range} = full.xaxis;

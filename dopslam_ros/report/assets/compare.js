@@ -1,0 +1,4 @@
+// Several cases beside each other: charts only.
+'use strict';
+
+startCharts();
