@@ -182,6 +182,7 @@ def test_different_drives_are_not_subtracted(cases: list[Case]) -> None:
     assert not any(name.startswith("less") for name in found.columns)
 
 
+@pytest.mark.once
 def test_the_command(
     sims: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], browser: Browser
 ) -> None:
@@ -206,6 +207,7 @@ def test_the_command(
     assert all(f"{row['position_rmse']['value']:.4f}" in table for row in rows)
 
 
+@pytest.mark.once
 def test_a_zoom_is_shared(sims: Path, tmp_path: Path, browser: Browser) -> None:
     """All charts over time show the same piece of it; the map of the tracks stays."""
     bag, out = sims / "run0", tmp_path / "page.html"
@@ -221,6 +223,7 @@ def test_a_zoom_is_shared(sims: Path, tmp_path: Path, browser: Browser) -> None:
     assert not browser.complaints()
 
 
+@pytest.mark.once
 def test_bags_without_truth(
     sims: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], browser: Browser
 ) -> None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from tests.conftest import LiveRun
     from tests.report.conftest import Browser
 
+pytestmark = pytest.mark.once
 STEPS = 8
 LONG = 2000
 # Where the middle of the vehicle's ellipse is on the screen, and where that is on the map [m].
