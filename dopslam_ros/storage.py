@@ -179,7 +179,7 @@ class SnapshotWriter:
             started = time.monotonic()
             try:
                 self._store.write(self._name, saved)
-            except SavedError as error:  # a full disk must not end the run
+            except Exception as error:  # neither a full disk nor anything else ends the run
                 self.failed, self.problem = self.failed + 1, str(error)
             else:
                 self.written, self.problem = self.written + 1, None

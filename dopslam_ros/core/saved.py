@@ -36,6 +36,7 @@ class Saved:
         mixture: the density.
         controls: with their stamps [ns], from the one in force at the stamp on.
         owed: motion that the density has still to make up for.
+        known: the map as it was loaded, of a filter that only localises.
     """
 
     kind: str
@@ -44,6 +45,7 @@ class Saved:
     mixture: Mixture
     controls: tuple[tuple[int, Control], ...] = ()
     owed: tuple[ControlSpan, ...] = ()
+    known: Saved | None = None
 
     def check(self, kind: str, parameters: FilterParameters) -> None:
         """Whether a filter with these parameters can use it as such.

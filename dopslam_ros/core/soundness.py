@@ -53,6 +53,10 @@ def check_saved(saved: Saved) -> None:
         best = saved.mixture.best
         vehicle = best.mean[:UE].any() or best.covariance[:UE].any()
         _need(len(weight) == 1 and not vehicle, "a map has no vehicle")
+    if saved.known is not None:
+        fits = saved.kind == SNAPSHOT and saved.known.kind == MAP
+        _need(fits and saved.known.known is None, "a map is where none can be")
+        check_saved(saved.known)
 
 
 def check_state(state: FilterState, parameters: Mapping[str, Any]) -> None:

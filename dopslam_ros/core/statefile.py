@@ -38,8 +38,8 @@ Arrays = dict[str, Array]
 
 MAGIC = b"DOPSTATE"
 VERSION = 1
-# Larger than any map that a step can serve in time.
-MOST_BYTES = 1 << 30
+# 100,000 landmarks.
+MOST_BYTES = 1 << 28
 MOST_HEADER_BYTES = 1 << 24
 _PREFIX = struct.Struct("<8sIIQ")
 _START = _PREFIX.size + hashlib.sha256().digest_size
@@ -69,12 +69,8 @@ def encode(saved: Saved) -> list[Buffer]:
         (name, np.ascontiguousarray(array, dtype="<f8" if array.dtype == np.float64 else "<i8"))
         for name, array in _named_arrays(saved)
     ]
-    header = {
-        "kind": saved.kind,
-        "stamp_ns": saved.stamp_ns,
-        "parameters": dict(saved.parameters),
-        "arrays": [[name, array.dtype.str, list(array.shape)] for name, array in arrays],
-    }
+    named = [[name, array.dtype.str, list(array.shape)] for name, array in arrays]
+    header = {**_about(saved), "arrays": named}
     text = json.dumps(header).encode()
     payload = [array for _, array in arrays if array.size]
     prefix = _PREFIX.pack(MAGIC, VERSION, len(text), sum(p.nbytes for p in payload))
@@ -116,7 +112,11 @@ def decode(data: bytes) -> Saved:
         raise SavedError("the file is damaged: its checksum does not match, use another copy")
     end = _START + header_size
     try:
-        saved = _saved(json.loads(data[_START:end]), content[end:])
+        header = json.loads(data[_START:end])
+        arrays = _arrays(header["arrays"], content[end:])
+        saved = _saved(header, arrays)
+        if arrays:
+            raise SavedError(f"the file has arrays of no use: {', '.join(sorted(arrays)[:5])}")
         check_saved(saved)
     except SavedError:
         raise
@@ -124,6 +124,16 @@ def decode(data: bytes) -> Saved:
     except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise SavedError(f"the file makes no sense: {type(error).__name__}: {error}") from error
     return saved
+
+
+def _about(saved: Saved) -> dict[str, Any]:
+    """What the header says besides the arrays."""
+    return {
+        "kind": saved.kind,
+        "stamp_ns": saved.stamp_ns,
+        "parameters": dict(saved.parameters),
+        "known": None if saved.known is None else _about(saved.known),
+    }
 
 
 def _named_arrays(saved: Saved) -> Iterator[tuple[str, Array]]:
@@ -138,6 +148,8 @@ def _named_arrays(saved: Saved) -> Iterator[tuple[str, Array]]:
     for number, state in enumerate(saved.mixture.hypotheses):
         for name, array in _of_state(state):
             yield f"{number}/{name}", array
+    for name, array in () if saved.known is None else _named_arrays(saved.known):
+        yield f"known/{name}", array
 
 
 def _of_state(state: FilterState) -> Iterator[tuple[str, Array]]:
@@ -155,23 +167,26 @@ def _of_state(state: FilterState) -> Iterator[tuple[str, Array]]:
         yield f"asleep/{name}", np.concatenate([getattr(cell, name).ravel() for _, cell in cells])
 
 
-def _saved(header: Any, payload: memoryview) -> Saved:
-    arrays = _arrays(header["arrays"], payload)
-    count = len(arrays["weight"])
-    if not 1 <= count <= len(arrays):
-        raise SavedError(f"the file has {count} hypotheses")
-    states = tuple(_state(arrays, f"{number}/") for number in range(count))
-    stamps, controls = arrays.pop("control_stamps").tolist(), arrays.pop("controls").tolist()
-    owed, weight = arrays.pop("owed").tolist(), arrays.pop("weight")
-    if arrays:
-        raise SavedError(f"the file has arrays of no use: {', '.join(sorted(arrays)[:5])}")
+def _saved(about: Any, arrays: Arrays, prefix: str = "") -> Saved:
+    """Takes its arrays, whose names begin with ``prefix``, out of all."""
+
+    def take(name: str) -> Any:
+        return arrays.pop(prefix + name)
+
+    weight, owed = take("weight"), take("owed").tolist()
+    stamps, controls = take("control_stamps").tolist(), take("controls").tolist()
+    states = tuple(_state(arrays, f"{prefix}{number}/") for number in range(len(weight)))
+    if not states:
+        raise SavedError("the file has no hypothesis")
+    known = about["known"]
     return Saved(
-        kind=str(header["kind"]),
-        stamp_ns=int(header["stamp_ns"]),
-        parameters=dict(header["parameters"]),
-        mixture=Mixture(states, np.asarray(weight, np.float64)),
+        kind=str(about["kind"]),
+        stamp_ns=int(about["stamp_ns"]),
+        parameters=dict(about["parameters"]),
+        mixture=Mixture(states, weight),
         controls=tuple((s, Control(*c)) for s, c in zip(stamps, controls, strict=True)),
         owed=tuple(ControlSpan(Control(v, w), t, Drift(*d)) for v, w, t, *d in owed),
+        known=None if known is None else _saved(known, arrays, "known/"),
     )
 
 

@@ -115,6 +115,7 @@ class SteeredFilter:
             self._state,
             self._sequencer.controls,
             self._owed,
+            None if self.parameters.mapping else self._known_map,
         )
 
     def known_map(self) -> Saved:
@@ -153,7 +154,7 @@ class SteeredFilter:
     def _go_on_from(self, saved: Saved) -> None:
         self._state, self._owed, self._last_ns = saved.mixture, saved.owed, saved.stamp_ns
         self._anew = saved.stamp_ns == BEFORE_ALL
-        self._known_map = self._learned_map()
+        self._known_map = saved.known or self._learned_map()
         self._sequencer = Sequencer(self.parameters)
         self._sequencer.go_on(None if self._anew else saved.stamp_ns, saved.controls)
 

@@ -157,8 +157,8 @@ class Steering:
             response.message = act()
             response.success = True
             self._node.get_logger().info(f"service: {response.message}")
-        except (SavedError, OSError) as error:
-            response.success, response.message = False, str(error)
+        except Exception as error:  # a node never dies of a request
+            response.success, response.message = False, str(error) or type(error).__name__
             self._node.refuse("service", Refused("service_refused", str(error)))
         return response
 

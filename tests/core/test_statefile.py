@@ -201,6 +201,7 @@ def test_what_is_no_density_is_refused(paper: Saved) -> None:
         "id is out of range": spoil(paper, next_id=1),
         "a reach": spoil(paper, asleep=Asleep(best.asleep.cells, 0.0)),
         "no vehicle": replace(paper, kind=MAP),
+        "where none can be": replace(paper, known=paper),
         "in order": replace(paper, controls=paper.controls * 2),
     }
     for match, saved in spoilt.items():

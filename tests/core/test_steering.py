@@ -164,6 +164,19 @@ def test_a_known_map_is_the_same_bytes_after_a_run(snapshots: list[Snapshot]) ->
     assert set(filtering.state.best.all_track_ids) == set(known.mixture.best.all_track_ids)
 
 
+def test_a_known_map_outlives_a_restart(snapshots: list[Snapshot]) -> None:
+    first = FilterSession(PARAMETERS)
+    feed(first, snapshots)
+    known = first.known_map()
+    filtering = FilterSession(KNOWN)
+    filtering.replace_map(known)
+    feed(filtering, snapshots[:25])
+    resumed = FilterSession(KNOWN)
+    resumed.restore(through_a_file(filtering.snapshot()))
+    assert bytes_of(feed(resumed, snapshots[25:])) == bytes_of(feed(filtering, snapshots[25:]))
+    assert to_bytes(resumed.known_map()) == to_bytes(known)
+
+
 def test_a_pause_refuses_sets_and_the_next_one_is_predicted_to(snapshots: list[Snapshot]) -> None:
     filtering = FilterSession(PARAMETERS)
     feed(filtering, snapshots[:10])
