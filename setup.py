@@ -39,6 +39,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         *installed_tree("config"),
+        *installed_tree("launch"),
         *installed_tree("bags"),
     ],
     install_requires=[
