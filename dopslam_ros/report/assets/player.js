@@ -41,8 +41,11 @@ function number(value, digits) { return Number.isFinite(value) ? value.toFixed(d
 
 function writeNumbers(k) {
   const c = columns;
-  document.getElementById('pose').textContent = `x ${number(c.x[k], 2)} m, y ${number(c.y[k], 2)} m, ` +
-    `heading ${number(c.heading[k] * 180 / Math.PI, 1)}°, clock bias ${number(c.clock[k], 2)} m`;
+  const pose = [`x ${number(c.x[k], 2)} m`, `y ${number(c.y[k], 2)} m`,
+    `heading ${number(c.heading[k] * 180 / Math.PI, 1)}°`, `clock bias ${number(c.clock[k], 2)} m`];
+  // Each of them stays on one line.
+  document.getElementById('pose').textContent =
+    pose.map((part) => part.replaceAll(' ', '\u00a0')).join(', ');
   for (const cell of document.querySelectorAll('#numbers td[data-column]')) {
     cell.textContent = number(columns[cell.dataset.column][k], Number(cell.dataset.digits));
   }
