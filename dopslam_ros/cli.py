@@ -39,6 +39,7 @@ from dopslam_ros.published import published
 from dopslam_ros.report import command as reporting
 from dopslam_ros.storage import read_saved, write_saved
 from dopslam_ros.study import command as study
+from dopslam_ros.study import trouble_command as trouble
 from dopslam_ros.study.results import load_results
 
 SIGMAS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5)
@@ -52,6 +53,7 @@ EXAMPLES = {
     "compare": "dopslam compare bags/paper bags/paper:doppler=none --out doppler.html",
     "bounds": "dopslam bounds --sigma-d 0.1 0.5",
     "study": "dopslam study --filters joint marginal --doppler 0.1 none --out runs/study",
+    "trouble": "dopslam trouble --runs 200 --seed 12345 --json trouble.json",
     "figures": "dopslam figures runs/study --out runs/figures",
     "bench": "dopslam bench --json bench.json --markdown BENCHMARKS.md",
     "parameters": "dopslam parameters filter > config/filter.yaml",
@@ -146,6 +148,9 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("study", study.run, "Monte Carlo: filters beside each other and their bound")
     study.add_arguments(sub)
+
+    sub = command("trouble", trouble.run, "Monte Carlo: a vehicle gets lost, and is it found again")
+    trouble.add_arguments(sub)
 
     sub = command("figures", _figures, "draw a study beside the paper's figures, with their ratios")
     sub.add_argument("study", type=Path, help="folder of a study")

@@ -69,7 +69,17 @@ def output(estimates: LandmarkEstimates, stamp: int = 10**9) -> FilterOutput:
         parameters=FilterParameters(),
         control=Control(3.0, -0.5),
         measurements=MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM))),
-        associations=Associations(nothing.reshape(0, 0), np.zeros(0), nothing, 0.0, 0, 0.0),
+        associations=Associations(
+            nothing.reshape(0, 0),
+            np.zeros(0),
+            nothing,
+            0.0,
+            0,
+            0.0,
+            nothing,
+            np.zeros(0),
+            np.zeros(0),
+        ),
         step_seconds=0.0,
     )
     vars(made)["landmarks"] = estimates  # as if it had been asked for before

@@ -29,12 +29,13 @@ from dopslam_ros.core.filter import (
     LandmarkEstimates,
     Mixture,
     landmarks_of,
-    mixture_step,
 )
+from dopslam_ros.core.health import HEALTHY, Health
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import OnlineParameters, detection_probabilities, with_doppler_std
 from dopslam_ros.core.motion import Control
 from dopslam_ros.core.parameters import parameter
+from dopslam_ros.core.recovery import watch_anew, watch_over, watched_step
 from dopslam_ros.core.sequence import Sequencer, Timed
 from dopslam_ros.core.steering import SteeredFilter
 
@@ -55,6 +56,7 @@ class FilterOutput:
         associations: the hypotheses behind it, about these paths.
         step_seconds: time that the computation took.
         anew: whether the estimation begins with it: the first one, or the first after a reset.
+        health: how the filter is after it.
     """
 
     stamp_ns: int
@@ -65,6 +67,7 @@ class FilterOutput:
     associations: Associations
     step_seconds: float
     anew: bool = False
+    health: Health = HEALTHY
 
     @cached_property
     def landmarks(self) -> LandmarkEstimates:
@@ -82,6 +85,12 @@ class FilterSession(SteeredFilter):
     def __init__(self, parameters: FilterParameters) -> None:
         super().__init__(parameters)
         self.problems: Counter[str] = Counter()
+        self._watch = watch_over(self._state)
+
+    @property
+    def health(self) -> Health:
+        """How the filter is."""
+        return self._watch.health
 
     def add_control(self, stamp_ns: int, speed: float, turn_rate: float) -> Iterator[FilterOutput]:
         """A control; yields the results it was waited for.
@@ -137,15 +146,20 @@ class FilterSession(SteeredFilter):
         # Owed until a step succeeds: whatever goes wrong below, the motion is not forgotten.
         anew, self._anew = self._anew, False
         self._owed = spans = () if anew else self._owed + timed.spans
+        if self._watch.state is not self._state or anew:  # somebody has put in another
+            self._watch = watch_anew(self._state, anew, self.parameters)
+            self._state = self._watch.state
         try:
-            result = mixture_step(self._state, measurements, spans, control.speed, self.parameters)
+            watch, result = watched_step(
+                self._watch, measurements, spans, control.speed, self.parameters
+            )
         except np.linalg.LinAlgError:
-            result = None
+            watch, result = self._watch, None
         if result is None or not _sound(result.state):
             self.problems["numerical_failure"] += 1
             return None  # the last good state stays
         self._owed = ()
-        self._state = result.state
+        self._state, self._watch = result.state, watch
         return FilterOutput(
             stamp_ns=timed.stamp_ns,
             state=result.state,
@@ -155,6 +169,7 @@ class FilterSession(SteeredFilter):
             associations=result.associations,
             step_seconds=time.perf_counter() - started,
             anew=anew,
+            health=watch.health,
         )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from dopslam_ros import topics
 from dopslam_ros.bag import message_class
 from dopslam_ros.core.filter import FilterParameters
+from dopslam_ros.core.health import Level
 from dopslam_ros.core.parameters import commented_yaml, parameter
 from dopslam_ros.core.session import FilterOutput, FilterSession
 from dopslam_ros.core.warmup import warm_up_filter
@@ -50,6 +51,7 @@ class FilterNode(DopslamNode):
         )
         self._steering = Steering(self, self._session, p)
         self._step_seconds: list[float] = []
+        self._level = Level.OK
         self._sets = 0
         self._idle = False
         publishers = [output.publisher for output in self._outputs.values()]
@@ -93,9 +95,13 @@ class FilterNode(DopslamNode):
         state = self._session.state
         smallest = float(np.linalg.eigvalsh(state.ue_covariance)[0])
         steps = np.array(self._step_seconds or [0.0]) * 1e3
+        health = self._session.health
+        if health.level != self._level:
+            self.get_logger().warning(f"{health.level.name}: {health.reason}")
+            self._level = health.level
         return (
-            0,
-            f"{self._sets} sets processed",
+            int(health.level),
+            f"{self._sets} sets processed, {health.level.name}: {health.reason}",
             [
                 ("sets_processed", self._sets),
                 ("sets_waiting", self._session.pending),
@@ -103,6 +109,7 @@ class FilterNode(DopslamNode):
                 ("step_ms_median", f"{np.median(steps):.3f}"),
                 ("step_ms_max", f"{steps.max():.3f}"),
                 ("smallest_eigenvalue", f"{smallest:.3e}"),
+                *health.figures,
                 *self._steering.health(),
             ],
         )

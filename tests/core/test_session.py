@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dopslam_ros.core import session as session_module
+from dopslam_ros.core import recovery as recovery_module
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import DIM, DOPPLER
 from dopslam_ros.core.filter import FilterParameters, initial_filter_state, mixture_step, step
@@ -256,7 +256,7 @@ def test_a_numerical_failure_keeps_the_last_good_state(
         assert len(list(feed(s))) == 1
     good = filtering.state
     with monkeypatch.context() as patch:
-        patch.setattr(session_module, "mixture_step", broken(kind))
+        patch.setattr(recovery_module, "mixture_step", broken(kind))
         assert list(feed(snapshots[3])) == []
         assert list(feed(snapshots[4])) == []
     assert filtering.state is good

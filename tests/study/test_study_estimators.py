@@ -165,7 +165,10 @@ def snapshot(*sources: int) -> Snapshot:
 
 
 def associations(rows: list[list[int]], weight: list[float], born: list[int]) -> Associations:
-    return Associations(np.array(rows), np.array(weight), np.array(born), 0.0, 0, 0.0)
+    none = np.zeros(0)
+    return Associations(
+        np.array(rows), np.array(weight), np.array(born), 0.0, 0, 0.0, none.astype(int), none, none
+    )
 
 
 def test_the_weight_of_the_correct_association() -> None:

@@ -96,6 +96,19 @@ class FilterParameters(OnlineParameters):
         unit="m",
         low=1e-3,
     )
+    initial_pose: str = parameter(
+        "known",
+        "Whether initial_state says where the vehicle is (known), or it must be found from the"
+        " first sets, by the base station and the map if there is one (unknown).",
+        choices=("known", "unknown"),
+    )
+    health_position_std: float = parameter(
+        3.0,
+        "Diagnostics warn when the vehicle's position is known worse than this (root of the"
+        " covariance's trace).",
+        unit="m",
+        low=1e-3,
+    )
 
 
 @dataclass(frozen=True)

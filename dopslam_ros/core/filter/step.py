@@ -35,6 +35,9 @@ class Associations:
             many degrees of freedom where filter, models and hypothesis are right.
         log_evidence: ln of the sum of the hypotheses' weights before normalisation, how well the
             set was foreseen: of all paths, clutter and misdetections included.
+        sources: (S,) ids of what could have been heard, the BS first.
+        log_missed: (S,) ln of the probability that it is not heard.
+        log_new: (J,) ln of the intensity of clutter and new landmarks at each path.
     """
 
     ids: IntArray
@@ -43,6 +46,9 @@ class Associations:
     nis: float
     nis_dof: int
     log_evidence: float
+    sources: IntArray
+    log_missed: FloatArray
+    log_new: FloatArray
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,11 @@ def step(
     """
     observed = evidence.prepare(measurements, parameters)
     ranked = rank(advance(state, spans, parameters), observed, speed, parameters)
+    return posterior(ranked, observed, parameters)
+
+
+def posterior(ranked: Ranked, observed: evidence.Observed, parameters: FilterParameters) -> Step:
+    """The second half of a step: what follows from the associations."""
     if not parameters.mapping:
         return _localise(ranked, observed, parameters)
     conditioned = condition(ranked, ranked.born.kept, observed, parameters)
@@ -93,6 +104,7 @@ class Ranked:
         predicted: the density the paths are weighed against.
         evidence: of every source.
         births: a candidate from every path.
+        weights: of every pair.
         hypotheses: the best associations.
         born: births worth keeping.
     """
@@ -100,6 +112,7 @@ class Ranked:
     predicted: FilterState
     evidence: evidence.Evidence
     births: birth.Births
+    weights: hypotheses.LocalWeights
     hypotheses: hypotheses.Hypotheses
     born: update.Newborn
 
@@ -133,7 +146,7 @@ def rank(
     weights = hypotheses.local_weights(predicted, observed, fit, births, parameters)
     best = hypotheses.associate(predicted, weights, parameters)
     born = update.newborn(births, weights, best, parameters)
-    return Ranked(predicted, fit, births, best, born)
+    return Ranked(predicted, fit, births, weights, best, born)
 
 
 def condition(
@@ -171,7 +184,7 @@ def _localise(ranked: Ranked, observed: evidence.Observed, parameters: FilterPar
     state = localised(predicted, updated.means, updated.covariances, best.weight, parameters)
     nothing_born = np.full(len(observed.values), UNASSIGNED)
     fit = _fit(updated, best, observed)
-    return Step(state, _associations(predicted, best, nothing_born, *fit))
+    return Step(state, _associations(predicted, ranked, nothing_born, *fit))
 
 
 def finish(state: FilterState, parameters: FilterParameters) -> FilterState:
@@ -206,14 +219,22 @@ def associations_of(ranked: Ranked, conditioned: Conditioned) -> Associations:
     """The associations in terms of landmark ids."""
     augmented = conditioned.augmented
     born = np.concatenate([augmented.state.track_id, [UNASSIGNED]])[augmented.birth_track]
-    best = ranked.hypotheses
-    return _associations(augmented.state, best, born, conditioned.nis, conditioned.nis_dof)
+    return _associations(augmented.state, ranked, born, conditioned.nis, conditioned.nis_dof)
 
 
 def _associations(
-    state: FilterState, best: hypotheses.Hypotheses, born: IntArray, nis: float, nis_dof: int
+    state: FilterState, ranked: Ranked, born: IntArray, nis: float, nis_dof: int
 ) -> Associations:
+    best, weights = ranked.hypotheses, ranked.weights
     row_ids = np.concatenate([[BS_ID], state.track_id, [UNASSIGNED]])  # UNASSIGNED is the last one
     return Associations(
-        np.asarray(row_ids[best.track]), best.weight, born, nis, nis_dof, best.log_evidence
+        ids=row_ids[best.track],
+        weight=best.weight,
+        born=born,
+        nis=nis,
+        nis_dof=nis_dof,
+        log_evidence=best.log_evidence,
+        sources=row_ids[: len(weights.missed)],
+        log_missed=weights.missed,
+        log_new=weights.new,
     )
