@@ -19,13 +19,14 @@ STEPS = 4
 
 
 def warm_up_filter(parameters: FilterParameters) -> None:
-    """Runs every part of the filter's step once."""
-    session = FilterSession(parameters)
-    for snapshot in _snapshots(parameters):
-        control = snapshot.control
-        list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
-        for output in session.add_measurements(snapshot.stamp_ns, snapshot.measurements):
-            assert output.landmarks is not None
+    """Runs every part of the filter's step once, and of the search for a vehicle that is lost."""
+    for pose in ("known", "unknown"):
+        session = FilterSession(replace(parameters, initial_pose=pose))
+        for snapshot in _snapshots(parameters):
+            control = snapshot.control
+            list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
+            for output in session.add_measurements(snapshot.stamp_ns, snapshot.measurements):
+                assert output.landmarks is not None
 
 
 def warm_up_bounds(parameters: BoundsParameters) -> None:
