@@ -97,7 +97,7 @@ def test_a_task_that_fails_is_told(short: Scenario) -> None:
         raise np.linalg.LinAlgError("singular matrix")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dopslam_ros.core.session.mixture_step", fail)
+        patch.setattr("dopslam_ros.core.recovery.mixture_step", fail)
         outcome = execute(plan, software(), task)
     assert outcome.task == task and outcome.part is None
     assert outcome.error.strip().endswith(
