@@ -1,20 +1,23 @@
+# PYTHON_ARGCOMPLETE_OK
 """The ``dopslam`` command."""
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from tqdm import tqdm
 
-from dopslam_ros import __version__, mapinfo
+from dopslam_ros import __version__, mapinfo, watch
 from dopslam_ros.bag import BagError, BagReader, BagWriter
 from dopslam_ros.bag.repair import repair
 from dopslam_ros.bench import command as bench
@@ -24,13 +27,17 @@ from dopslam_ros.core.parameters import ParameterError, commented_yaml, shared_v
 from dopslam_ros.core.scenario import ScenarioError, load_scenario
 from dopslam_ros.core.study import nominal_bounds
 from dopslam_ros.options import (
+    Stop,
     UsageError,
     add_json,
+    add_quiet,
     add_scenario,
     add_settings,
     check_files,
+    nearest_file,
     positive_number,
     read_settings,
+    silence,
     whole_from_zero,
     with_progress,
     write_json,
@@ -58,15 +65,35 @@ EXAMPLES = {
     "bench": "dopslam bench --json bench.json --markdown BENCHMARKS.md",
     "parameters": "dopslam parameters filter > config/filter.yaml",
     "recover": "dopslam recover runs/cut_off runs/whole",
+    "watch": "dopslam watch bags/paper --rate 5",
 }
+
+
+ENDING = """exit codes:
+  0    it was done
+  1    it failed: a file cannot be read or written, or results differ that should not
+  2    it was asked wrongly: an option, a name or a value
+  130  Ctrl-C ended it; what was done by then is kept
+
+completion in bash, also for this session alone:
+  eval "$(register-python-argcomplete dopslam)"
+"""
+# Commands whose output is all that they are for.
+TALKERS = ("parameters", "watch")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns 0, 1 if it failed, 2 if it was asked wrongly, 130 on Ctrl-C."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    if "_ARGCOMPLETE" in os.environ:  # the shell asks what could come next
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    options = parser.parse_args(arguments)
     try:
         check_files(options)
-        return int(options.run(options))
+        with silence(getattr(options, "quiet", False)):
+            return int(options.run(options))
     except (UsageError, ScenarioError, ParameterError) as error:
         _complain(error)
         return 2
@@ -74,20 +101,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (BagError, OSError, ValueError, RuntimeError) as error:
-        _complain(error)
+        _complain(error, nearest_file(options))
         return 1
     except KeyboardInterrupt:
         print("dopslam: stopped", file=sys.stderr)
         return 130
 
 
-def _complain(error: Exception) -> None:
+def _complain(error: Exception, hint: str = "") -> None:
     """One line, also where a library's message has several."""
-    print("dopslam:", " ".join(str(error).split()), file=sys.stderr)
+    print("dopslam:", " ".join(f"{error}{hint}".split()), file=sys.stderr)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Where a name is wrong it says the nearest one that is right."""
+
+    words: ClassVar[set[str]] = {*EXAMPLES}
+
+    def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
+        self.words.update(names, options.get("choices", ()))
+        return super().add_argument(*names, **options)
+
+    def error(self, message: str) -> NoReturn:
+        wrong = re.search(r"(?:invalid choice: '?|unrecognized arguments: )([^\s'=]+)", message)
+        near = difflib.get_close_matches(wrong[1], self.words, n=1) if wrong else []
+        super().error(message + (f"; did you mean '{near[0]}'?" if near else ""))
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="dopslam", description="Online Doppler SLAM.")
+    parser = _Parser(
+        prog="dopslam",
+        description="Online Doppler SLAM.",
+        epilog=ENDING,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -100,6 +147,8 @@ def _parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         sub.set_defaults(run=run)
+        if name not in TALKERS:
+            add_quiet(sub)
         return sub
 
     sub = command("demo", _demo, "run the paper's scene live, record, replay, compare, draw")
@@ -114,6 +163,7 @@ def _parser() -> argparse.ArgumentParser:
     add_scenario(sub, "paper")
     sub.add_argument("--seed", type=whole_from_zero, help="of the run (default: the scenario's)")
     sub.add_argument("--out", type=Path, required=True, help="folder of the new bag")
+    add_json(sub)
 
     sub = command("replay", _replay, "filter a bag offline, as fast as it goes")
     sub.add_argument("bag", type=Path, help="folder of a bag, or an .mcap file")
@@ -168,6 +218,12 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("recover", _recover, "save what can be read of a damaged bag into a new one")
     sub.add_argument("old", type=Path, help="folder of a bag, or an .mcap file; stays as it is")
     sub.add_argument("new", type=Path, help="folder of the new bag")
+    add_json(sub)
+
+    sub = command(
+        "watch", watch.run, "pose, map, rates and health in the terminal, live or a bag's"
+    )
+    watch.add_arguments(sub)
     return parser
 
 
@@ -206,11 +262,14 @@ def _simulate(options: Any) -> int:
 
     scenario = load_scenario(options.scenario)
     seed = scenario.seed if options.seed is None else options.seed
+    stop = Stop()
     with BagWriter(options.out, flush_seconds=None) as writer:
-        progress = partial(with_progress, total=scenario.steps, description="simulate")
+        progress = partial(with_progress, total=scenario.steps, description="simulate", stop=stop)
         count = write_simulation(scenario, seed, writer, progress)
+    content = {"scenario": scenario.name, "seed": seed, "snapshots": count}
+    write_json(options.json, {**content, "bag": str(options.out), "stopped": stop.asked})
     print(f"{count} snapshots of scene '{scenario.name}', seed {seed}, in {options.out}")
-    return 0
+    return stop.code()
 
 
 def _replay(options: Any) -> int:
@@ -218,7 +277,8 @@ def _replay(options: Any) -> int:
     from dopslam_ros.replay import replay
 
     reader = BagReader(options.bag)
-    progress = partial(with_progress, total=None, description="replay")
+    stop = Stop()
+    progress = partial(with_progress, total=None, description="replay", stop=stop)
     settings = read_settings(options)
     start_map = None if options.map is None else read_saved(options.map.resolve())
     if options.out is None:
@@ -229,11 +289,12 @@ def _replay(options: Any) -> int:
     if options.save_map is not None and run.known_map is not None:
         write_saved(options.save_map, run.known_map)
     summary = _summary(run)
+    summary["stopped"] = stop.asked
     _print_summary(summary)
     write_json(options.json, summary)
     if options.picture is not None:
         draw_run(run, options.picture, str(options.bag))
-    return 0
+    return stop.code()
 
 
 def _bounds(options: Any) -> int:
@@ -299,6 +360,8 @@ def _recover(options: Any) -> int:
     print(f"{reader.message_count} messages of {options.old} are in {options.new}")
     if reader.damage:
         print(f"missing: {reader.damage}")
+    content = {"bag": str(options.new), "messages": reader.message_count, "damage": reader.damage}
+    write_json(options.json, content)
     return 0
 
 

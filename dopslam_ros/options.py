@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import difflib
 import math
+import os
+import signal
 import sys
-from collections.abc import Iterable
+import threading
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,11 +31,13 @@ class UsageError(ValueError):
 
 def add_scenario(parser: argparse.ArgumentParser, default: str) -> None:
     """``--scenario``."""
-    parser.add_argument(
+    scenario = parser.add_argument(
         "--scenario",
         default=default,
         help=f"a YAML file, or one of {', '.join(builtin_scenarios())} (default: {default})",
     )
+    # What a shell completes it to.
+    vars(scenario)["completer"] = lambda **_: builtin_scenarios()
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
@@ -44,6 +51,73 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 def add_json(parser: argparse.ArgumentParser) -> None:
     """``--json``."""
     parser.add_argument("--json", type=Path, metavar="F", help="file for the result as JSON")
+
+
+def add_quiet(parser: argparse.ArgumentParser) -> None:
+    """``--quiet``."""
+    parser.add_argument("-q", "--quiet", action="store_true", help="say nothing but errors")
+
+
+@contextlib.contextmanager
+def silence(quiet: bool) -> Iterator[None]:
+    """Nothing is printed meanwhile if so; errors that are raised can be told afterwards."""
+    if not quiet:
+        yield
+        return
+    with (
+        open(os.devnull, "w", encoding="utf-8") as nowhere,
+        contextlib.redirect_stdout(nowhere),
+        contextlib.redirect_stderr(nowhere),
+    ):
+        yield
+
+
+class Stop:
+    """Ctrl-C ends a loop after the item it is at; a second one ends it at once.
+
+    Attributes:
+        asked: whether Ctrl-C came.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, items: Iterable[T]) -> Iterator[T]:
+        """The same items, until Ctrl-C."""
+        if threading.current_thread() is not threading.main_thread():
+            yield from items
+            return
+        before = signal.signal(signal.SIGINT, self._ask)
+        try:
+            for item in items:
+                if self.asked:
+                    return
+                yield item
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def code(self) -> int:
+        """The exit code of a command that has kept what it had; says so if it was stopped."""
+        if self.asked:
+            print("dopslam: stopped; what was done by then is kept", file=sys.stderr)
+        return 130 if self.asked else 0
+
+    def _ask(self, *_: object) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+
+
+def nearest_file(options: Any) -> str:
+    """A hint at the file beside one that was to be read and is not there."""
+    for name in ("bag", "old", "study", "file", "map"):
+        path = getattr(options, name, None)
+        if not isinstance(path, Path) or path.exists() or not path.parent.is_dir():
+            continue
+        near = difflib.get_close_matches(path.name, [p.name for p in path.parent.iterdir()], n=1)
+        if near:
+            return f"; did you mean '{path.parent / near[0]}'?"
+    return ""
 
 
 def read_settings(options: Any) -> dict[str, Any]:
@@ -80,11 +154,19 @@ def check_files(options: Any) -> None:
 
 
 def with_progress(
-    items: Iterable[T], total: int | None, description: str, done: int = 0
+    items: Iterable[T],
+    total: int | None,
+    description: str,
+    done: int = 0,
+    stop: Stop | None = None,
 ) -> Iterable[T]:
-    """The same items, with a bar on a terminal; ``done`` of the total were there before."""
+    """The same items, with a bar on a terminal; ``done`` of the total were there before.
+
+    With ``stop`` they end at Ctrl-C.
+    """
     hidden = not sys.stderr.isatty()
-    return tqdm(items, total=total, initial=done, desc=description, disable=hidden)
+    shown: Iterable[T] = tqdm(items, total=total, initial=done, desc=description, disable=hidden)
+    return shown if stop is None else stop(shown)
 
 
 def write_json(path: Path | None, content: dict[str, Any]) -> None:

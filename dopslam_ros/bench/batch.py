@@ -124,15 +124,15 @@ def resident_memory(settled: int, steps: int) -> tuple[int, int]:
         list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
         list(session.add_measurements(snapshot.stamp_ns, snapshot.measurements))
         if snapshot.step + 1 == settled:
-            before = _occupied()
+            before = occupied()
         if snapshot.step + 1 == steps:
             break
     if session.problems:
         raise RuntimeError(f"the filter had problems: {dict(session.problems)}")
-    return before, _occupied()
+    return before, occupied()
 
 
-def _occupied() -> int:
+def occupied() -> int:
     """Resident set size of this process in bytes."""
     try:
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])

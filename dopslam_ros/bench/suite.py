@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from dopslam_ros.bench import batch, live, pieces, scaling, steps
+from dopslam_ros.bench import batch, live, pieces, scaling, soak, steps
 from dopslam_ros.bench.records import Measured, NotMeasured, Record
 from dopslam_ros.study.executors import one_blas_thread
 
@@ -47,6 +47,9 @@ BENCHMARKS = {
         live.nodes,
     ),
     "memory": Benchmark("Memory of a filter that never stops.", batch.memory),
+    "soak": Benchmark(
+        "Two hours of a scene at 10 Hz from a bag, twice: memory, times and results.", soak.soak
+    ),
     "ready": Benchmark(
         'The filter node from its start to "ready", first and later starts.', live.ready
     ),

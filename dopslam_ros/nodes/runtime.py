@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import signal
 import sys
 from collections import Counter
@@ -310,12 +311,18 @@ class DopslamNode(Node):
         """Called once before the node is destroyed: finish what is begun."""
 
 
+def stay_on_this_machine() -> None:
+    """Nobody outside is found, nor finds us, unless the environment says how far to look."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
 def run(create: Callable[[], DopslamNode], arguments: Sequence[str] | None = None) -> int:
     """Runs a node until it is finished or told to stop; returns the exit code.
 
     Own signal handlers only set a flag, so that Ctrl-C meets the node between two callbacks and
-    everything is closed in order.
+    everything is closed in order. Nothing leaves this machine unless the environment says so.
     """
+    stay_on_this_machine()
     try:
         rclpy.init(
             args=list(arguments) if arguments is not None else sys.argv,
