@@ -196,25 +196,26 @@ def test_many_steps_stay_fluid(
 ) -> None:
     """A step of a long run is shown nearly as fast as one of a short run.
 
-    And in a small part of the time that the library takes to draw the map anew. The times are of
-    this machine and are reported, not judged.
+    And in a part of the time that the library takes to draw the map anew. The times are the least of
+    many, which others on this machine disturb the least, and are compared, not judged.
     """
     timed = """
         const times = [];
-        for (let i = 0; i < 60; i++) {
-          const k = Math.floor(i * steps / 60) + (i % 2), begin = performance.now();
+        for (let i = 0; i < 40; i++) {
+          // At the end, where the track driven is longest.
+          const k = steps - 1 - (i % 8), begin = performance.now();
           MAKE
           map.getBoundingClientRect();
           times.push(performance.now() - begin);
         }
-        return times.sort((a, b) => a - b)[30];
+        return Math.min(...times);
     """
     browser.open(page)
     short = browser.run(timed.replace("MAKE", "shown = -1; show(k);"))
     browser.open(long_page)
     assert browser.run("return steps") == LONG
     assert not browser.complaints()
-    shown = browser.run(timed.replace("MAKE", "show(k);"))
+    shown = browser.run(timed.replace("MAKE", "shown = -1; show(k);"))
     redrawn = browser.run(timed.replace("MAKE", "Plotly.redraw(map);"))
     for name, value in (("short", short), ("long", shown), ("redraw", redrawn)):
         record_property(f"{name}_ms", value)
