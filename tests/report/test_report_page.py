@@ -196,8 +196,8 @@ def test_many_steps_stay_fluid(
 ) -> None:
     """A step of a long run is shown nearly as fast as one of a short run.
 
-    And in a part of the time that the library takes to draw the map anew. The times are the least of
-    many, which others on this machine disturb the least, and are compared, not judged.
+    And in a part of the time that the library takes to draw the map anew. The times are the least
+    of many, which others on this machine disturb the least, and are compared, not judged.
     """
     timed = """
         const times = [];
