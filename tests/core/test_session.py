@@ -234,15 +234,34 @@ def broken(kind: str) -> Failure:
         mean, covariance = best.mean.copy(), best.covariance.copy()
         if kind == "nan mean":
             mean[1] = math.nan
-        else:
+        elif kind == "infinite covariance":
             covariance[0, 1] = math.inf
+        elif kind == "negative variance":
+            covariance[5, 5] *= -1.0
+        elif kind == "asymmetric covariance":
+            covariance[0, 1] += 1e-3
+        else:
+            assert kind == "indefinite covariance"
+            covariance[0, 1] = covariance[1, 0] = 1.01 * np.sqrt(
+                covariance[0, 0] * covariance[1, 1]
+            )
         broken_one = replace(best, mean=mean, covariance=covariance)
         return replace(outcome, state=replace(outcome.state, hypotheses=(broken_one,)))
 
     return fails
 
 
-@pytest.mark.parametrize("kind", ["raises", "nan mean", "infinite covariance"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "raises",
+        "nan mean",
+        "infinite covariance",
+        "negative variance",
+        "asymmetric covariance",
+        "indefinite covariance",
+    ],
+)
 def test_a_numerical_failure_keeps_the_last_good_state(
     snapshots: list[Snapshot], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
