@@ -9,7 +9,7 @@ BIN := .venv/bin
 # As many tests at a time as there are processors; those of a file in one process.
 TEST := -m pytest -n auto --dist loadfile
 
-.PHONY: help setup browser demo test test-newest test-oldest lint colcon clean
+.PHONY: help setup docs browser demo test test-newest test-oldest lint colcon clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1	\2/' | expand -t 16
@@ -35,6 +35,11 @@ browser: ## install Chromium for the tests of pages, where root has apt-get
 lint: setup ## check style and types
 	@$(BIN)/python -m ruff check .
 	@$(BIN)/python -m mypy
+
+docs: setup ## draw the figures and build docs/_build/html; warnings are errors
+	@$(BIN)/python docs/draw.py docs/figures
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	@echo "open docs/_build/html/index.html"
 
 colcon: setup ## build both packages into install/ with colcon
 	@. .venv/ros_env.sh && { command -v colcon >/dev/null || \

@@ -60,6 +60,7 @@ setup(
         "cluster": ["distributed>=2024.1,<2027", "threadpoolctl>=3.1,<4"],
         # colcon test looks for pytest here; without it, it runs no test and reports success.
         "test": [
+            "furo>=2024.1,<2027",
             "pytest>=7.4,<10",
             "pytest-timeout>=2.2,<3",
             "pytest-xdist>=3.4,<4",
@@ -67,6 +68,7 @@ setup(
             "mcap>=1.5,<2",
             "mypy>=1.10,<3",
             "ruff>=0.6,<1",
+            "sphinx>=7.2,<10",
             "selenium>=4.15,<5",
             "types-PyYAML>=6.0,<7",
             "distributed>=2024.1,<2027",

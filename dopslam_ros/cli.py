@@ -26,6 +26,7 @@ from dopslam_ros.core.model import with_doppler_std
 from dopslam_ros.core.parameters import ParameterError, commented_yaml, shared_values
 from dopslam_ros.core.scenario import ScenarioError, load_scenario
 from dopslam_ros.core.study import nominal_bounds
+from dopslam_ros.files import write_whole
 from dopslam_ros.options import (
     Stop,
     UsageError,
@@ -210,7 +211,7 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_arguments(sub)
 
     sub = command("parameters", _parameters, "the parameters of a node as a commented YAML file")
-    sub.add_argument("node", choices=sorted(_NODES), help="which node")
+    sub.add_argument("node", choices=sorted(NODES), help="which node")
     sub.add_argument(
         "--scenario", help="take what it has of the models: a YAML file or a scene's name"
     )
@@ -233,6 +234,8 @@ def _parser() -> argparse.ArgumentParser:
 def _demo(options: Any) -> int:
     from dopslam_ros.demo import new_folder, replay_and_compare, run_live
     from dopslam_ros.figures.run import draw_run
+    from dopslam_ros.report.recorded import last_reports
+    from dopslam_ros.report.run_page import run_page
 
     scenario = load_scenario(options.scenario)
     seed = scenario.seed if options.seed is None else options.seed
@@ -254,6 +257,9 @@ def _demo(options: Any) -> int:
     picture = folder / "run.png"
     draw_run(run, picture, f"{scenario.name}, seed {seed}")
     print(f"picture: {picture}")
+    page = folder / "report.html"
+    write_whole(page, run_page(run, str(bag), last_reports(BagReader(bag))).encode("utf-8"))
+    print(f"the map over time: open {page} in a browser")
     return 1 if different else 0
 
 
@@ -344,7 +350,7 @@ def _figures(options: Any) -> int:
 def _parameters(options: Any) -> int:
     import importlib
 
-    module, name = _NODES[options.node]
+    module, name = NODES[options.node]
     kind = getattr(importlib.import_module(module), name)
     values, origin = {}, "their defaults"
     if options.scenario is not None:
@@ -365,7 +371,7 @@ def _recover(options: Any) -> int:
     return 0
 
 
-_NODES = {
+NODES = {
     node: (f"dopslam_ros.nodes.{node}", name)
     for node, name in (
         ("simulator", "SimulatorParameters"),

@@ -36,6 +36,8 @@ def check_results(process: Process, parent: Path, payloads: Callable[..., list[b
     assert result["steps"] == STEPS and 0.0 < result["position_rmse"] < 3.0
     assert f"{result['position_rmse']:.4f}" in process.stdout
     assert result["problems"] == {}
+    page = (folder / "report.html").read_text("utf-8")
+    assert str(folder / "report.html") in process.stdout and "<script" in page
     image = np.asarray(matplotlib.image.imread(folder / "run.png"))
     assert (image[..., :3] < 0.95).any(axis=2).mean() > 0.02
     for name in ("simulator", "filter", "bounds", "recorder"):

@@ -508,7 +508,7 @@ def install_package(ros: Ros) -> None:
             link(VENV / "lib" / PACKAGE / name, VENV / "bin" / name)
         index = VENV / "share" / "ament_index" / "resource_index" / "packages"
         link(index / PACKAGE, ROOT / "resource" / PACKAGE)
-        for name in ("package.xml", "config", "bags"):
+        for name in ("package.xml", "config", "launch", "bags"):
             link(VENV / "share" / PACKAGE / name, ROOT / name)
         (VENV / "ros_env.sh").write_text(ros_environment_file(ros))
         for shell in ("sh", "bash", "zsh"):
