@@ -25,6 +25,8 @@ from dopslam_ros.core.session import BoundsOutput, WorldState
 Types = Callable[[str], Any]
 NANO = 1_000_000_000
 BS_ID = 0
+# Longest set [bytes] that is looked into: more than MOST_PATHS paths take.
+LARGEST_MESSAGE = 1024 * MOST_PATHS
 
 
 class InvalidMessage(Refused):
@@ -69,8 +71,14 @@ def read_message(payload: bytes, topic: topics.Topic) -> Any:
     """The message that bytes from a topic or a bag hold.
 
     Raises:
-        InvalidMessage: they hold none of the topic's type.
+        InvalidMessage: they hold none of the topic's type, or a set that is too large.
     """
+    if topic == topics.CHANNEL_MEASUREMENTS and len(payload) > LARGEST_MESSAGE:
+        raise InvalidMessage(
+            "message_too_large",
+            f"a set of {len(payload)} bytes: at most {LARGEST_MESSAGE} are read, and {MOST_PATHS}"
+            " paths used: send the strongest",
+        )
     try:
         return deserialize(payload, topic.type_name)
     except BagTypeError as error:

@@ -15,7 +15,7 @@ import pytest
 
 from dopslam_ros import topics
 from dopslam_ros.bag import deserialize, message_class, record_type, serialize
-from dopslam_ros.core.measurements import MOST_PATHS
+from dopslam_ros.core.measurements import MOST_PATHS, MeasurementSet
 from dopslam_ros.core.ordering import UNCONFIRMED
 from dopslam_ros.core.refusal import Refused
 from dopslam_ros.core.scenario import load_scenario
@@ -229,9 +229,49 @@ def test_garbled_bytes_are_refused_or_give_numbers(
                 continue
     assert outputs
     for output in outputs:
-        best = output.state.best
-        assert np.isfinite(best.mean).all() and np.isfinite(best.existence).all()
-        scale = np.sqrt(np.diagonal(best.covariance))
-        correlation = best.covariance / np.outer(scale, scale)
-        np.testing.assert_allclose(correlation, correlation.T, rtol=0.0, atol=1e-12)
-        assert np.linalg.eigvalsh(correlation)[0] > 0.0
+        check_numbers(output)
+
+
+def senseless(rng: np.random.Generator) -> MeasurementSet:
+    """Paths that are allowed and make no sense: any size, any accuracy, parts missing."""
+    count = int(rng.integers(1, 12))
+    values = np.array([1e7, 6.2, 3.1, 6.2, 3.1, 1e5]) * rng.choice(
+        [-1.0, 1.0, 0.0, 1e-300, 0.3], size=(count, 6)
+    )
+    values[rng.random(values.shape) < 0.3] = np.nan
+    values[np.isnan(values).all(axis=1), 0] = 0.0
+    variances = 10.0 ** rng.uniform(-17.9, 17.9, size=(count, 6))
+    return MeasurementSet(values, variances[:, :, None] * np.eye(6))
+
+
+def test_senseless_sets_that_are_allowed_give_numbers(
+    good: list[tuple[topics.Topic, bytes]],
+) -> None:
+    rng = np.random.default_rng(17)
+    filtering = FilterSession(PARAMETERS)
+    for topic, payload in good:
+        if topic == SETS:
+            time = stamp_ns(deserialize(payload, topic.type_name).header)
+            message = make_measurements(message_class, time, senseless(rng), Frames())
+            payload = serialize(message, topic.type_name)
+        for output in take(filtering, topic, payload):
+            check_numbers(output)
+    assert not filtering.problems
+
+
+def test_ten_thousand_paths_are_not_even_read(good: list[tuple[topics.Topic, bytes]]) -> None:
+    message: Any = deserialize(good[1][1], SETS.type_name)
+    message.paths = np.ones(10_000, record_type(PATH))
+    with pytest.raises(Refused) as caught:
+        read_message(serialize(message, SETS.type_name), SETS)
+    assert caught.value.reason == "message_too_large" and str(MOST_PATHS) in str(caught.value)
+
+
+def check_numbers(output: FilterOutput) -> None:
+    """All is finite, and the covariance is one."""
+    best = output.state.best
+    assert np.isfinite(best.mean).all() and np.isfinite(best.existence).all()
+    scale = np.sqrt(np.diagonal(best.covariance))
+    correlation = best.covariance / np.outer(scale, scale)
+    np.testing.assert_allclose(correlation, correlation.T, rtol=0.0, atol=1e-12)
+    assert np.linalg.eigvalsh(correlation)[0] > 0.0

@@ -14,8 +14,9 @@ from dopslam_ros.core.refusal import Refused
 PLAUSIBLE = np.array([1e7, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1e5])
 # Variances beyond these belong to no receiver, and would spoil the arithmetic.
 LEAST_VARIANCE, MOST_VARIANCE = 1e-18, 1e18
-# More paths than any channel estimator resolves.
-MOST_PATHS = 10_000
+# More paths than channel estimators resolve. Each may begin a landmark: with ten times as many a
+# step would take seconds and gigabytes.
+MOST_PATHS = 1000
 
 
 class InvalidMeasurements(Refused):

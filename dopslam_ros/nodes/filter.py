@@ -13,10 +13,12 @@ from dopslam_ros.bag import message_class
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.health import Level
 from dopslam_ros.core.parameters import commented_yaml, parameter
+from dopslam_ros.core.refusal import Refused
 from dopslam_ros.core.session import FilterOutput, FilterSession
 from dopslam_ros.core.warmup import warm_up_filter
 from dopslam_ros.filter_messages import DrawingParameters, FilterMessages
 from dopslam_ros.messages import Frames, make_text, read_control, read_measurements, stamp_ns
+from dopslam_ros.nodes.inbox import Inbox
 from dopslam_ros.nodes.runtime import DopslamNode, serve
 from dopslam_ros.nodes.steering import Steering
 from dopslam_ros.storage import StorageParameters
@@ -28,6 +30,14 @@ class FilterNodeParameters(StorageParameters, DrawingParameters, FilterParameter
 
     map_frame: str = parameter("map", "Frame of everything that is estimated.")
     base_frame: str = parameter("base_link", "Frame of the vehicle.")
+    most_waiting: int = parameter(
+        500,
+        "Sets that may wait when they come faster than they can be processed. When more do, the"
+        " oldest are dropped, counted as overload_dropped, and predicted through; a replay, which"
+        " has time, uses them.",
+        low=1,
+        high=100_000,
+    )
     wait_for_nodes: str = parameter(
         "", "Names of nodes, separated by commas, that must get the results before any is made."
     )
@@ -54,12 +64,14 @@ class FilterNode(DopslamNode):
         self._level = Level.OK
         self._sets = 0
         self._idle = False
+        self._most_waiting = p.most_waiting
+        self._inbox = Inbox(self, p.most_waiting, self._on_overload)
         publishers = [output.publisher for output in self._outputs.values()]
         self.start_when_joined(p.wait_for_nodes, publishers, self._start)
 
     def _start(self) -> None:
-        self.subscribe(topics.CHANNEL_MEASUREMENTS, self._on_measurements)
-        self.subscribe_last(topics.ODOMETRY_CONTROL, self._on_control)
+        self.subscribe(topics.CHANNEL_MEASUREMENTS, self._on_measurements, self._inbox, counts=True)
+        self.subscribe_last(topics.ODOMETRY_CONTROL, self._on_control, self._inbox)
         self.create_timer(self._session.parameters.control_wait, self._on_silence)
         self.get_logger().info("ready")
 
@@ -74,6 +86,11 @@ class FilterNode(DopslamNode):
         self._idle = False
         measurements = read_measurements(message)
         self._publish(self._session.add_measurements(stamp_ns(message.header), measurements))
+
+    def _on_overload(self) -> None:
+        most = self._most_waiting
+        reason = f"more than {most} sets wait: send fewer, or give the node a faster processor"
+        self.refuse(topics.CHANNEL_MEASUREMENTS.name, Refused("overload_dropped", reason))
 
     def _on_silence(self) -> None:
         """Nothing arrived for a whole period: what waits will wait in vain."""
@@ -104,7 +121,7 @@ class FilterNode(DopslamNode):
             f"{self._sets} sets processed, {health.level.name}: {health.reason}",
             [
                 ("sets_processed", self._sets),
-                ("sets_waiting", self._session.pending),
+                ("sets_waiting", self._session.pending + self._inbox.waiting),
                 ("landmarks", len(state.best.all_track_ids)),
                 ("step_ms_median", f"{np.median(steps):.3f}"),
                 ("step_ms_max", f"{steps.max():.3f}"),
@@ -115,6 +132,7 @@ class FilterNode(DopslamNode):
         )
 
     def close(self) -> None:
+        self._inbox.empty()
         self._publish(self._session.end())
         self._steering.close()
 

@@ -47,6 +47,7 @@ from dopslam_ros.core.parameters import (
     to_mapping,
 )
 from dopslam_ros.messages import make_diagnostics, read_message
+from dopslam_ros.nodes.inbox import Inbox
 
 P = TypeVar("P")
 DIAGNOSTICS_PERIOD = 1.0
@@ -192,11 +193,23 @@ class DopslamNode(Node):
         )
         return Output(publisher, topic.type_name)
 
-    def subscribe(self, topic: topics.Topic, callback: Callable[[Any], None]) -> None:
+    def subscribe(
+        self,
+        topic: topics.Topic,
+        callback: Callable[[Any], None],
+        inbox: Inbox | None = None,
+        counts: bool = False,
+    ) -> None:
         """A subscription whose callback may raise an error with a ``reason``: it is counted.
 
         The bytes are read here, as the offline replay reads them, because what the middleware
         cannot read it drops without a word.
+
+        Args:
+            topic: what to read.
+            callback: gets the messages.
+            inbox: where they wait; None: each is handled as it comes.
+            counts: whether the inbox limits how many of them wait.
         """
 
         def guarded(payload: bytes) -> None:
@@ -205,18 +218,26 @@ class DopslamNode(Node):
             except Exception as error:  # a node never dies of a message
                 self.refuse(topic.name, error)
 
-        self.create_subscription(
+        def waits(payload: bytes) -> None:
+            assert inbox is not None
+            inbox.put(guarded, payload, counts)
+
+        subscription = self.create_subscription(
             middleware_class(topic.type_name),
             topic.name,
-            guarded,
+            guarded if inbox is None else waits,
             reading_profile(topic),
             raw=True,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
+        if inbox is not None:
+            inbox.watch(subscription, guarded, counts)
 
-    def subscribe_last(self, topic: topics.Topic, callback: Callable[[Any], None]) -> None:
+    def subscribe_last(
+        self, topic: topics.Topic, callback: Callable[[Any], None], inbox: Inbox | None = None
+    ) -> None:
         """A node's last subscription: who sees this one has seen the others, see ``joined``."""
-        self.subscribe(topic, callback)
+        self.subscribe(topic, callback, inbox)
 
     def joined(self, names: Sequence[str], publishers: Iterable[Publisher]) -> list[str]:
         """Which of the named nodes of this namespace do not get our messages yet.

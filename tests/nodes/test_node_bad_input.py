@@ -13,6 +13,7 @@ import pytest
 
 from dopslam_ros import topics
 from dopslam_ros.bag import BagReader, BagWriter, deserialize, message_class, serialize
+from dopslam_ros.core.measurements import MOST_PATHS
 from dopslam_ros.core.motion import Control
 from dopslam_ros.messages import Frames, make_control
 from dopslam_ros.nodes.bounds import BoundsNode
@@ -169,7 +170,12 @@ def stamped(sec: int, nanosec: int) -> Callable[[Any], None]:
 
 def too_many(message: Any) -> None:
     """One path more than is taken."""
-    message.paths = [message.paths[0]] * 10_001
+    message.paths = [message.paths[0]] * (MOST_PATHS + 1)
+
+
+def far_too_many(message: Any) -> None:
+    """So many that the message is not even read."""
+    message.paths = [message.paths[0]] * 10_000
 
 
 BAD_SETS: dict[str, tuple[Callable[[Any], None], str]] = {
@@ -185,7 +191,8 @@ BAD_SETS: dict[str, tuple[Callable[[Any], None], str]] = {
     "no stamp": (stamped(0, 0), "no_stamp"),
     "negative stamp": (stamped(-5, 0), "invalid_stamp"),
     "overflowing stamp": (stamped(3, SECOND), "invalid_stamp"),
-    "10,001 paths": (too_many, "too_many_paths"),
+    "a path too many": (too_many, "too_many_paths"),
+    "10,000 paths": (far_too_many, "message_too_large"),
     "time runs backward": (stamped(1, 250_000_000), "late"),
 }
 

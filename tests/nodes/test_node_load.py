@@ -1,0 +1,75 @@
+"""A filter node that gets sets faster than it can process them."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dopslam_ros import topics
+from dopslam_ros.bag import message_class, serialize
+from dopslam_ros.core.motion import Control
+from dopslam_ros.core.scenario import load_scenario
+from dopslam_ros.core.simulator import simulate
+from dopslam_ros.messages import Frames, make_control, make_measurements
+from dopslam_ros.nodes.filter import FilterNode
+from dopslam_ros.nodes.runtime import middleware_class, qos_profile
+
+if TYPE_CHECKING:
+    from tests.conftest import Ros
+
+SETS, CONTROLS = topics.CHANNEL_MEASUREMENTS, topics.ODOMETRY_CONTROL
+MOST = 20
+BURST = 300
+
+
+def test_too_many_sets_at_once(ros: Ros) -> None:
+    """The oldest of those that wait are dropped and counted, the newest are used, then all is well.
+
+    The node gets no turn while the burst is sent, as if each of its steps took as long.
+    """
+    (snapshot,) = list(simulate(load_scenario("paper"), np.random.default_rng(1)))[:1]
+
+    def stamps_of_messages(k: int) -> tuple[bytes, bytes]:
+        stamp = 1_000_000_000 + k * 10_000_000
+        control = make_control(message_class, stamp, Control(0.0, 0.0), Frames())
+        paths = make_measurements(message_class, stamp, snapshot.measurements, Frames())
+        return serialize(control, CONTROLS.type_name), serialize(paths, SETS.type_name)
+
+    heard = ros.listen(topics.UE_STATE)
+    node = ros.start(FilterNode, most_waiting=MOST)
+    feeder = ros.node("feeder")
+    control, paths = (
+        feeder.create_publisher(middleware_class(t.type_name), t.name, qos_profile(t.qos))
+        for t in (CONTROLS, SETS)
+    )
+    for publisher in (control, paths):
+        ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1)
+    ros.spin_until(lambda: node.count_subscribers("ue_state") == 1)
+
+    def send(first: int, count: int) -> None:
+        for k in range(first, first + count):
+            for publisher, payload in zip((control, paths), stamps_of_messages(k), strict=True):
+                publisher.publish(payload)
+
+    def all_told() -> int:
+        return heard.count(topics.UE_STATE) + int(node.problems["overload_dropped"])
+
+    send(0, BURST)
+    time.sleep(0.5)
+    ros.spin_until(lambda: all_told() == BURST)
+    # What was dropped is known to the last set; what was not has its answer, in order.
+    used = heard.count(topics.UE_STATE)
+    assert MOST <= used <= BURST // 2
+    stamps = [
+        m.header.stamp.nanosec + 10**9 * m.header.stamp.sec for m in heard.messages(topics.UE_STATE)
+    ]
+    assert stamps == sorted(stamps)
+    newest = [1_000_000_000 + k * 10_000_000 for k in range(BURST - MOST, BURST)]
+    assert stamps[-MOST:] == newest
+    send(BURST, 10)
+    ros.spin_until(lambda: heard.count(topics.UE_STATE) == used + 10)
+    assert node.problems == {"overload_dropped": BURST - used}
+    values = dict(node.health()[2])
+    assert values["sets_waiting"] == 0
