@@ -14,4 +14,6 @@ exclude_patterns = ["_build"]
 nitpicky = True
 # Clearer where it is installed; Sphinx's own otherwise.
 html_theme = "furo" if find_spec("furo") else "alabaster"
+html_static_path = ["static"]
+html_css_files = ["tables.css"]
 html_show_sourcelink = False
