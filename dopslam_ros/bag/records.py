@@ -243,7 +243,7 @@ def salvage_chunk(cursor: Cursor) -> bytes:
     if compression != "zstd" or size > _LIMIT_BYTES:
         raise DamagedError("a chunk breaks off")
     try:
-        return zstandard.ZstdDecompressor().decompressobj().decompress(packed)
+        return zstandard.ZstdDecompressor().stream_reader(packed).read(size)
     except (zstandard.ZstdError, MemoryError) as error:
         raise DamagedError("a chunk breaks off") from error
 
