@@ -144,7 +144,7 @@ def _story(
     gap = round(BLACKOUT / scenario.period) if kind in ("blackout", "dark") else 0
     laps = replace(scenario, controls=scenario.controls * 3)
     lap = scenario.steps
-    first = int(rng.integers(lap, 2 * lap)) if kind != "no_map" else int(rng.integers(lap))
+    first = int(rng.integers(lap, 2 * lap)) if kind != "no_map" else int(rng.integers(1, lap))
     snapshots = list(simulate(replace(laps, controls=laps.controls[:first]), rng))
     before = [_given(s) for s in snapshots]
     controls = laps.controls[first : first + gap + AFTER]
