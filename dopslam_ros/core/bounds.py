@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, floats
 from dopslam_ros.core.channel import DIM, DOPPLER, Paths
 from dopslam_ros.core.kernels import bounds as kernels
+from dopslam_ros.core.kernels.motion import predict
 from dopslam_ros.core.model import ModelParameters
-from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
+from dopslam_ros.core.motion import ControlSpan, span_rows
 
 # Standard deviation of a landmark before its first path [m]: no information, but invertible.
 DIFFUSE_STD = 1e4
@@ -81,8 +82,9 @@ def predict_bound(
         spans: the controls since then.
         noise_rate: (4,) variance added per second.
     """
-    _, jacobian, noise = propagate_spans(ue, spans, noise_rate)
-    return BoundState(predict_covariance(state.covariance, jacobian, noise), state.ids)
+    rate = floats(noise_rate)
+    _, covariance = predict(floats(ue), floats(state.covariance), span_rows(spans), rate)
+    return BoundState(covariance, state.ids)
 
 
 def update_bound(
@@ -111,27 +113,27 @@ def update_bound(
     Raises:
         LinAlgError: R is not positive definite.
     """
-    seen = (weights > 0.0) & ~paths.degenerate
-    ids, is_bs, weights = ids[seen], is_bs[seen], weights[seen]
-    state = _with_landmarks(state, ids[~is_bs])
-    if not seen.any():
+    counted = np.where(paths.degenerate, 0.0, weights)
+    block, state = _blocks(state, ids[(counted > 0.0) & ~is_bs].tolist())
+    if not (counted > 0.0).any():
         return state
-    block = {landmark: number for number, landmark in enumerate(state.ids.tolist())}
+    count, at_bs = len(ids), is_bs.tolist()
     start = np.array(
-        [-1 if bs else 4 + 3 * block[i] for i, bs in zip(ids.tolist(), is_bs.tolist(), strict=True)]
+        [-1 if bs else block.get(i, -1) for i, bs in zip(ids.tolist(), at_bs, strict=True)],
+        dtype=np.int64,
     )
-    data = np.zeros_like(state.covariance)
-    if not kernels.gather(
-        np.ascontiguousarray(paths.ue_jacobian[seen]),
-        np.ascontiguousarray(paths.landmark_jacobian[seen]),
-        np.ascontiguousarray(np.broadcast_to(used, (len(seen), DIM))[seen]),
-        np.ascontiguousarray(np.broadcast_to(noise, (len(seen), DIM, DIM))[seen]),
-        weights,
+    covariance, sound = kernels.inform(
+        floats(state.covariance),
+        floats(paths.ue_jacobian),
+        floats(paths.landmark_jacobian),
+        np.array(np.broadcast_to(used, (count, DIM)), dtype=np.bool_),
+        floats(np.broadcast_to(noise, (count, DIM, DIM))),
+        counted,
         start,
-        data,
-    ):
+    )
+    if not sound:
         raise np.linalg.LinAlgError("the measurement noise is not positive definite")
-    return BoundState(_add_information(state.covariance, data), state.ids)
+    return BoundState(covariance, state.ids)
 
 
 def bounds_of(state: BoundState, ids: IntArray) -> Bounds:
@@ -169,26 +171,19 @@ def information_split(paths: Paths, model: ModelParameters) -> InformationSplit:
     )
 
 
-def _with_landmarks(state: BoundState, ids: IntArray) -> BoundState:
-    """Appends the landmarks that are not in the state yet, with a diffuse prior."""
-    known = set(state.ids.tolist())
-    new = np.array([i for i in ids.tolist() if i not in known], dtype=np.int64)
-    if not len(new):
-        return state
+def _blocks(state: BoundState, seen: list[int]) -> tuple[dict[int, int], BoundState]:
+    """Where the blocks of the landmarks are, and the state with those of all that are seen.
+
+    Landmarks that are not in the state yet are appended with a diffuse prior.
+    """
+    block = {landmark: 4 + 3 * number for number, landmark in enumerate(state.ids.tolist())}
+    new = [landmark for landmark in seen if landmark not in block]
+    if not new:
+        return block, state
     old = len(state.covariance)
     covariance = np.zeros((old + 3 * len(new),) * 2)
     covariance[:old, :old] = state.covariance
-    fresh = block_indices(old, np.arange(len(new)), 3).ravel()
+    fresh = np.arange(old, len(covariance))
     covariance[fresh, fresh] = DIFFUSE_STD**2
-    return BoundState(covariance, np.concatenate([state.ids, new]))
-
-
-def _add_information(covariance: FloatArray, data: FloatArray) -> FloatArray:
-    """(covariance^-1 + data)^-1 through a Cholesky factor, so that nothing tiny is inverted.
-
-    With covariance = L L' it is L (I + L' data L)^-1 L': the matrix that is solved has no
-    eigenvalue below one, however diffuse a landmark is.
-    """
-    factor = np.linalg.cholesky(covariance)
-    inner = np.eye(len(covariance)) + symmetrise(factor.T @ data @ factor)
-    return symmetrise(np.asarray(factor @ np.linalg.solve(inner, factor.T), dtype=np.float64))
+    block.update({landmark: old + 3 * number for number, landmark in enumerate(new)})
+    return block, BoundState(covariance, np.concatenate([state.ids, new]).astype(np.int64))

@@ -89,10 +89,14 @@ def propagate_spans(
     """
     check_shapes(state=(state, (4,)), noise_rate=(noise_rate, (4,)))
     after, jacobian, noise = np.array(state, dtype=np.float64), np.eye(4), np.zeros((4, 4))
-    rows = np.array([(*c, duration, *drift) for c, duration, drift in spans], dtype=np.float64)
-    rows = rows.reshape(-1, 5)
-    kernels.propagate_spans(after, rows, floats(noise_rate), jacobian, noise)
+    kernels.propagate_spans(after, span_rows(spans), floats(noise_rate), jacobian, noise)
     return after, jacobian, noise
+
+
+def span_rows(spans: Sequence[ControlSpan]) -> FloatArray:
+    """(S, 5) the spans as ``kernels.motion.propagate_spans`` takes them."""
+    rows = np.array([(*c, duration, *drift) for c, duration, drift in spans], dtype=np.float64)
+    return rows.reshape(-1, 5)
 
 
 def predict_covariance(

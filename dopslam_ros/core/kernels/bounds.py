@@ -1,63 +1,146 @@
-"""The information that a set of paths carries."""
+"""The information that a set of paths brings."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.kernels.compiled import compiled
-from dopslam_ros.core.kernels.small import cholesky, forward, used_places
+from dopslam_ros.core.kernels.small import cholesky, forward_columns
 
-DIM, UE = 6, 4
+UE = 4
 
 
 @compiled
-def gather(
+def inform(
+    covariance: FloatArray,
     a: FloatArray,
     b: FloatArray,
     used: BoolArray,
     noise: FloatArray,
     weights: FloatArray,
     start: IntArray,
-    data: FloatArray,
-) -> bool:
-    """Adds w H' R^-1 H of every path to the information ``data``.
+) -> tuple[FloatArray, bool]:
+    """(P^-1 + sum of w H' R^-1 H over the paths)^-1, so that nothing tiny is inverted.
+
+    With P = L L' it is L (I + L' data L)^-1 L': the matrix that is solved has no eigenvalue below
+    one, however diffuse a landmark is.
 
     Args:
+        covariance: (n, n) P, the vehicle first.
         a: (M, 6, 4) Jacobians by the vehicle.
         b: (M, 6, 3) by the landmarks.
         used: (M, 6) components that each path has.
         noise: (M, 6, 6) R.
-        weights: (M,) w; nothing is added where it is zero.
+        weights: (M,) w; a path whose weight is zero brings nothing.
         start: (M,) index of the landmark's block, -1 for one that has none.
-        data: (n, n), the vehicle first.
 
     Returns:
-        Whether every R was positive definite over what was measured.
+        (n, n), and whether P and every R over what was measured were positive definite.
     """
-    place = np.empty(DIM, np.int64)
-    factor = np.empty((DIM, DIM))
-    columns = np.empty((UE + 3, DIM))
-    index = np.empty(UE + 3, np.int64)
+    n = len(covariance)
+    root = covariance.copy()
+    sound = factorise(root)
+    inner = np.eye(n)
+    rows = np.empty((a.shape[1], n))
     for m in range(len(weights)):
-        if not weights[m] > 0.0:
+        if weights[m] > 0.0:
+            sound = (
+                whiten(a[m], b[m], used[m], noise[m], weights[m], start[m], root, rows) and sound
+            )
+            add_products(rows, n, inner)
+    sound = factorise(inner) and sound
+    # X = C^-1 L', of which only the upper triangle is not zero.
+    x = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            x[i, j] = root[j, i] if j >= i else 0.0
+    for i in range(n):
+        row = x[i]
+        for k in range(i):
+            factor, other = inner[i, k], x[k]
+            for j in range(n):
+                row[j] -= factor * other[j]
+        scale = 1.0 / inner[i, i]
+        for j in range(n):
+            row[j] *= scale
+    after = np.zeros((n, n))
+    add_products(x, n, after)
+    for i in range(n):
+        for j in range(i):
+            after[j, i] = after[i, j]
+    return after, sound
+
+
+@compiled
+def whiten(
+    a: FloatArray,
+    b: FloatArray,
+    used: BoolArray,
+    noise: FloatArray,
+    weight: float,
+    start: int,
+    root: FloatArray,
+    rows: FloatArray,
+) -> bool:
+    """Writes sqrt(w) R^-1/2 H L of one path into rows (6, n), zero where it has no component."""
+    dim, n = rows.shape
+    factor = np.empty((dim, dim))
+    for k in range(dim):
+        row = rows[k]
+        for j in range(n):
+            row[j] = 0.0
+        for i in range(k + 1):
+            factor[k, i] = 1.0 if i == k else 0.0
+            if used[k] and used[i]:
+                factor[k, i] = noise[k, i]
+        if not used[k]:
             continue
-        count = used_places(used[m], place)
-        for k in range(count):
-            for i in range(k + 1):
-                factor[k, i] = noise[m, place[k], place[i]]
-        if not cholesky(factor, count):
+        scale = math.sqrt(weight)
+        for i in range(UE):
+            # L is lower triangular.
+            for j in range(i + 1):
+                row[j] += scale * a[k, i] * root[i, j]
+        if start >= 0:
+            for i in range(3):
+                by, other = scale * b[k, i], root[start + i]
+                for j in range(start + i + 1):
+                    row[j] += by * other[j]
+    sound = cholesky(factor, len(factor))
+    forward_columns(factor, rows, len(factor))
+    return sound
+
+
+@compiled
+def add_products(rows: FloatArray, n: int, total: FloatArray) -> None:
+    """Adds rows' rows, rows (m, n), to the lower triangle of total (n, n)."""
+    for row in rows:
+        for i in range(n):
+            factor, into = row[i], total[i]
+            if factor != 0.0:
+                for j in range(i + 1):
+                    into[j] += factor * row[j]
+
+
+@compiled
+def factorise(matrix: FloatArray) -> bool:
+    """Replaces the lower triangle of (n, n) by its Cholesky factor, column by column.
+
+    For larger matrices than those of ``small``: the inner loops run along rows.
+    """
+    n = len(matrix)
+    column = np.empty(n)
+    for k in range(n):
+        if not matrix[k, k] > 0.0:
             return False
-        width = UE if start[m] < 0 else UE + 3
-        for j in range(width):
-            index[j] = j if j < UE else start[m] + j - UE
-            for k in range(count):
-                columns[j, k] = a[m, place[k], j] if j < UE else b[m, place[k], j - UE]
-            forward(factor, columns[j], count)
-        for i in range(width):
-            for j in range(width):
-                total = 0.0
-                for k in range(count):
-                    total += columns[i, k] * columns[j, k]
-                data[index[i], index[j]] += weights[m] * total
+        scale = 1.0 / math.sqrt(matrix[k, k])
+        for i in range(k, n):
+            matrix[i, k] *= scale
+            column[i] = matrix[i, k]
+        for i in range(k + 1, n):
+            factor, row = column[i], matrix[i]
+            for j in range(k + 1, i + 1):
+                row[j] -= factor * column[j]
     return True

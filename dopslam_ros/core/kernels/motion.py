@@ -109,3 +109,22 @@ def predict_covariance(
                 entry += moved[i, m] * jacobian[j, m]
             after[i, j] = entry
             after[j, i] = entry
+
+
+@compiled
+def predict(
+    mean: FloatArray, covariance: FloatArray, spans: FloatArray, noise_rate: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (n,) and covariance (n, n) after controls in a row: the vehicle moves, the map does not.
+
+    Args:
+        mean: (n,) before.
+        covariance: (n, n) before.
+        spans: (S, 5) as in ``propagate_spans``.
+        noise_rate: (4,) variance that the process noise adds per second.
+    """
+    moved, after, jacobian = mean.copy(), covariance.copy(), np.eye(4)
+    noise = np.zeros((4, 4))
+    propagate_spans(moved[:4], spans, noise_rate, jacobian, noise)
+    predict_covariance(covariance, jacobian, noise, after)
+    return moved, after
