@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from dopslam_ros import __version__, mapinfo, watch
 from dopslam_ros.bag import BagError, BagReader, BagWriter
-from dopslam_ros.bag.repair import repair
+from dopslam_ros.bag.repair import free_name, repair
 from dopslam_ros.bench import command as bench
 from dopslam_ros.core.evaluation import StepRecord, summarise
 from dopslam_ros.core.model import with_doppler_std
@@ -65,7 +65,7 @@ EXAMPLES = {
     "figures": "dopslam figures runs/study --out runs/figures",
     "bench": "dopslam bench --json bench.json --markdown BENCHMARKS.md",
     "parameters": "dopslam parameters filter > config/filter.yaml",
-    "recover": "dopslam recover runs/cut_off runs/whole",
+    "recover": "dopslam recover runs/cut_off",
     "watch": "dopslam watch bags/paper --rate 5",
 }
 
@@ -218,7 +218,9 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("recover", _recover, "save what can be read of a damaged bag into a new one")
     sub.add_argument("old", type=Path, help="folder of a bag, or an .mcap file; stays as it is")
-    sub.add_argument("new", type=Path, help="folder of the new bag")
+    sub.add_argument(
+        "new", type=Path, nargs="?", help="folder of the new bag (default: OLD_recovered)"
+    )
     add_json(sub)
 
     sub = command(
@@ -362,11 +364,13 @@ def _parameters(options: Any) -> int:
 
 
 def _recover(options: Any) -> int:
-    reader = repair(options.old, options.new)
-    print(f"{reader.message_count} messages of {options.old} are in {options.new}")
+    new = options.new or free_name(options.old)
+    reader = repair(options.old, new)
+    saved = BagReader(new).message_count
+    print(f"{saved} messages of {options.old} are in {new}")
     if reader.damage:
         print(f"missing: {reader.damage}")
-    content = {"bag": str(options.new), "messages": reader.message_count, "damage": reader.damage}
+    content = {"bag": str(new), "messages": saved, "damage": reader.damage}
     write_json(options.json, content)
     return 0
 

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from dopslam_ros import topics
-from dopslam_ros.bag import BagMessage, BagReader, BagWriter, deserialize, message_class, serialize
+from dopslam_ros.bag import BagMessage, BagReader, BagWriter, message_class, serialize
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.bounds import Bounds
 from dopslam_ros.core.channel import LandmarkType
@@ -42,10 +42,7 @@ from dopslam_ros.messages import (
     read_ue_state,
     stamp_ns,
 )
-
-
-class ReplayError(ValueError):
-    """A bag that cannot be replayed; the message says why."""
+from dopslam_ros.replay_inputs import recorded_settings, vehicle_prefix
 
 
 @dataclass
@@ -121,14 +118,15 @@ def replay(
         start_map: a map to start with, in the place of the one the bag was recorded with.
 
     Raises:
-        ReplayError: the bag has no measurement sets.
+        ReplayError: the bag has no measurement sets, topics of another type, several vehicles, or
+            the settings of several filters that differ.
         ParameterError: a parameter is unknown or its value unusable.
         SavedError: the map does not go with the parameters.
         BagError: the bag cannot be read or written.
     """
-    prefix = _prefix(reader)
+    prefix = vehicle_prefix(reader)
     names = {prefix + topic.name: topic for topic in topics.INPUTS}
-    settings = _recorded_settings(reader, prefix)
+    settings = recorded_settings(reader, prefix, (overrides or {}).keys())
     frames = Frames(
         str(settings.get("map_frame", Frames.map)), str(settings.get("base_frame", Frames.base))
     )
@@ -137,7 +135,10 @@ def replay(
         FilterParameters, {**_those_of(FilterParameters, settings), **(overrides or {})}
     )
 
-    has_truth = prefix + topics.TRUTH_UE.name in reader.topics
+    has_truth = all(
+        prefix + topic.name in reader.topics and reader.topics[prefix + topic.name].message_count
+        for topic in (topics.TRUTH_UE, topics.TRUTH_LANDMARKS)
+    )
     run = _Run(parameters, frames, drawing, prefix, has_truth, writer)
     if writer is not None:
         _announce(reader, writer, prefix)
@@ -157,7 +158,7 @@ def recorded_parameters(reader: BagReader) -> FilterParameters:
         ReplayError: the bag has no measurement sets.
         BagError: the bag cannot be read.
     """
-    settings = _recorded_settings(reader, _prefix(reader))
+    settings = recorded_settings(reader, vehicle_prefix(reader), ())
     return from_mapping(FilterParameters, _those_of(FilterParameters, settings))
 
 
@@ -193,6 +194,9 @@ class _Run:
             self._writer.write(
                 message.topic, message.payload, message.log_time_ns, message.publish_time_ns
             )
+        if message.type_name != topic.type_name:  # somebody else published there too
+            self.result.problems["wrong_type"] += 1
+            return
         try:
             self._dispatch(topic, read_message(message.payload, topic))
         except Refused as error:
@@ -286,45 +290,10 @@ class _Run:
         self._writer.write(self._prefix + topic.name, payload, self._time_ns)
 
 
-def _prefix(reader: BagReader) -> str:
-    """The namespace that the topics were recorded in, with a slash at its end."""
-    prefixes = topics.vehicle_prefixes(reader.topics)
-    name = topics.CHANNEL_MEASUREMENTS.name
-    found = [prefix + name for prefix in prefixes]
-    if not found:
-        have = ", ".join(sorted(reader.topics)) or "none"
-        raise ReplayError(f"bag '{reader.path}' has no topic .../{name}; its topics: {have}")
-    if len(found) > 1:
-        raise ReplayError(
-            f"bag '{reader.path}' has several vehicles ({', '.join(found)}): record one per bag"
-        )
-    expected = topics.CHANNEL_MEASUREMENTS.type_name
-    if reader.topics[found[0]].type_name != expected:
-        raise ReplayError(
-            f"topic {found[0]} of '{reader.path}' has type {reader.topics[found[0]].type_name},"
-            f" not {expected}"
-        )
-    return prefixes[0]
-
-
 def _those_of(parameters: type[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
     """The settings that belong to some parameters."""
     known = {declared.name for declared in declarations(parameters)}
     return {name: value for name, value in settings.items() if name in known}
-
-
-def _recorded_settings(reader: BagReader, prefix: str) -> dict[str, Any]:
-    """What the filter was set to when the bag was recorded; empty if the bag does not say."""
-    name = prefix + topics.FILTER_PARAMETERS.name
-    for message in reader.messages({name}):
-        content: Any = deserialize(message.payload, topics.FILTER_PARAMETERS.type_name)
-        try:
-            settings = yaml.safe_load(content.data)
-        except yaml.YAMLError as error:
-            raise ReplayError(f"{name} of '{reader.path}' is not YAML: {error}") from error
-        if isinstance(settings, dict):
-            return settings
-    return {}
 
 
 def _announce(reader: BagReader, writer: BagWriter, prefix: str) -> None:

@@ -304,6 +304,14 @@ def test_recover(
     assert bag_payloads(tmp_path / "whole", topics.CHANNEL_MEASUREMENTS)
 
 
+def test_recover_finds_a_name(tmp_path: Path, cut_bag: Path, capsys: Capture) -> None:
+    """Without a name for the new bag: one beside the old that nothing has, however often."""
+    for name in ("cut_recovered", "cut_recovered_1", "cut_recovered_2"):
+        assert run("recover", cut_bag) == 0
+        assert str(cut_bag.with_name(name)) in capsys.readouterr().out
+        assert BagReader(cut_bag.with_name(name)).damage is None
+
+
 def test_replay_of_a_bag_with_no_messages(tmp_path: Path, capsys: Capture) -> None:
     """A recording that was stopped before the first set: nothing to tell, and nothing breaks."""
     with BagWriter(tmp_path / "bag") as writer:

@@ -98,9 +98,9 @@ def read_contents(path: Path) -> Contents:
         size = stream.seek(0, 2)
         try:
             contents = _from_index(path, stream, size)
-            return contents or _Scan(path, stream, size).run(index_is_sound=True)
+            return contents or _Scan(path, stream, size, index_is_sound=True).run()
         except (DamagedError, struct.error):
-            return _Scan(path, stream, size).run(index_is_sound=False)
+            return _Scan(path, stream, size, index_is_sound=False).run()
 
 
 def load_block(stream: BinaryIO, block: Block) -> bytes:
@@ -202,7 +202,9 @@ def _is_complete(contents: Contents, statistics: records.Statistics) -> bool:
 class _Scan:
     """Looks at every record of a file and remembers what it finds."""
 
-    def __init__(self, path: Path, stream: BinaryIO, size: int) -> None:
+    def __init__(self, path: Path, stream: BinaryIO, size: int, *, index_is_sound: bool) -> None:
+        self._index_is_sound = index_is_sound
+        self._chunked = False
         self._contents = Contents(path)
         self._stream = stream
         self._size = size
@@ -210,11 +212,11 @@ class _Scan:
         self._data_ended = False
         self._broken_chunks = 0
 
-    def run(self, *, index_is_sound: bool) -> Contents:
+    def run(self) -> Contents:
         """Look at everything up to the end or the first record that cannot be followed."""
         while self._step():
             pass
-        self._note_problems(index_is_sound)
+        self._note_problems()
         return self._contents
 
     def _step(self) -> bool:
@@ -234,13 +236,23 @@ class _Scan:
         self._position += header.size + length
         return bool(opcode != records.FOOTER)
 
+    @property
+    def _believes_declarations(self) -> bool:
+        """Whether types and topics outside the chunks are taken as they stand.
+
+        Files with chunks declare them in there, under a checksum; those beside are repeated in the
+        summary, and when its checksum is wrong a name in it may be too.
+        """
+        return self._index_is_sound or not self._chunked
+
     def _whole_record(self, opcode: int, length: int) -> None:
         try:
             if opcode == records.CHUNK:
+                self._chunked = True
                 self._add_chunk(Kind.CHUNK, length)
             elif opcode == records.MESSAGE:
                 self._add_plain_message(length)
-            elif opcode in (records.SCHEMA, records.CHANNEL):
+            elif opcode in (records.SCHEMA, records.CHANNEL) and self._believes_declarations:
                 data = records.read_at(self._stream, self._position, length)
                 self._contents.declare(data, Record(opcode, records.RECORD_HEADER.size, length))
             elif opcode == records.DATA_END:
@@ -287,7 +299,7 @@ class _Scan:
         else:
             blocks.append(single)
 
-    def _note_problems(self, index_is_sound: bool) -> None:
+    def _note_problems(self) -> None:
         counts, channels = self._contents.counts, self._contents.channels
         unknown = sum(count for number, count in counts.items() if number not in channels)
         name, total = f"'{self._contents.path}'", sum(counts.values()) - unknown
@@ -298,7 +310,7 @@ class _Scan:
                 "that cannot be read (it was cut off, probably by a kill or a full disk, or is "
                 "still being recorded)"
             )
-        elif not index_is_sound:
+        elif not self._index_is_sound:
             self._contents.problems.append(
                 f"the index of {name} is missing or damaged ({total} messages were found "
                 "without it)"

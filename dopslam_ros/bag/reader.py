@@ -98,7 +98,7 @@ class BagReader:
         if not self._problems:
             return None
         source = shlex.quote(str(self.path))
-        remedy = f"run dopslam recover {source} NEW to save the rest"
+        remedy = f"run dopslam recover {source} to save the rest"
         return f"{', and '.join(self._problems)}: {remedy}"
 
     @property

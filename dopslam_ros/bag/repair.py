@@ -1,11 +1,20 @@
-"""Saving what can be read of a damaged bag: ``dopslam recover OLD NEW``."""
+"""Saving what can be read of a damaged bag: ``dopslam recover OLD [NEW]``."""
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 
 from dopslam_ros.bag.reader import BagReader
 from dopslam_ros.bag.writer import BagWriter
+
+
+def free_name(source: Path) -> Path:
+    """A name for what is saved of a bag, beside it, that nothing has: ``bag_recovered``."""
+    source = Path(source).absolute()
+    stem = source.stem if source.suffix == ".mcap" else source.name
+    names = (f"{stem}_recovered" + (f"_{number}" if number else "") for number in count())
+    return next(p for p in map(source.with_name, names) if not (p.exists() or p.is_symlink()))
 
 
 def repair(source: Path, target: Path) -> BagReader:

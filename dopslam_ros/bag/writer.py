@@ -82,6 +82,11 @@ class BagWriter:
         """Number of messages written so far."""
         return sum(topic.message_count for topic in self._topics.values())
 
+    @property
+    def closed(self) -> bool:
+        """Whether nothing more can be written: after ``close``, or since the disk refused."""
+        return self._closed
+
     def add_topic(
         self,
         topic: str,

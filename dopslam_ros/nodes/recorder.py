@@ -12,7 +12,7 @@ from rclpy.exceptions import NameValidationException
 from rclpy.qos import QoSProfile
 
 from dopslam_ros import topics
-from dopslam_ros.bag import BagError, BagWriter
+from dopslam_ros.bag import BagError, BagWriteError, BagWriter
 from dopslam_ros.bag.qos import from_profile
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.nodes.runtime import (
@@ -53,7 +53,8 @@ class RecorderNode(DopslamNode):
             self._bag = BagWriter(path, fsync_seconds=5.0)
         except BagError as error:
             raise StartError(str(error)) from error
-        self._written = 0
+        self._written = self._lost = 0
+        self._failure = ""
         self._subscribed: set[str] = set()
         self._known: set[str] = set()
         # The controls last: see DopslamNode.joined.
@@ -98,6 +99,9 @@ class RecorderNode(DopslamNode):
                     self.refuse(name, error)
 
     def _write(self, name: str, type_name: str, payload: bytes) -> None:
+        if self._failure:
+            self._lost += 1
+            return
         now = self.get_clock().now().nanoseconds
         try:
             if name not in self._known:
@@ -107,17 +111,34 @@ class RecorderNode(DopslamNode):
                 self._known.add(name)
             self._bag.write(name, payload, now)
             self._written += 1
-        except BagError as error:  # a full disk must not end the run
+        except BagWriteError as error:  # a full disk must not end the run
+            self._refused(name, error)
+        except BagError as error:
             self.refuse(name, error)
 
     def _flush(self) -> None:
-        try:
-            self._bag.flush()
-        except BagError as error:
-            self.refuse("bag", error)
+        if not self._failure:
+            try:
+                self._bag.flush()
+            except BagWriteError as error:
+                self._refused("bag", error)
+
+    def _refused(self, source: str, error: BagWriteError) -> None:
+        """A message that the bag did not take; when it takes no more, that is said as an error."""
+        if self._bag.closed:
+            self._lost += 1
+            self._failure = str(error)
+            self.get_logger().error(self._failure)
+        self.refuse(source, error)
 
     def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
-        values = [("messages_written", self._written), ("topics", len(self._known))]
+        values: list[tuple[str, Any]] = [
+            ("messages_written", self._written),
+            ("messages_lost", self._lost),
+            ("topics", len(self._known)),
+        ]
+        if self._failure:
+            return 2, self._failure, values
         return 0, f"{self._written} messages written", values
 
     def close(self) -> None:

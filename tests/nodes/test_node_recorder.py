@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
+import subprocess
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
 from dopslam_ros import topics
-from dopslam_ros.bag import BagReader, Durability, Reliability, type_hash, typestore
+from dopslam_ros.bag import (
+    BagReader,
+    Durability,
+    Reliability,
+    message_class,
+    serialize,
+    type_hash,
+    typestore,
+)
+from dopslam_ros.core.measurements import MeasurementSet
+from dopslam_ros.core.motion import Control
+from dopslam_ros.messages import Frames, make_control, make_measurements
+from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.recorder import RecorderNode
-from dopslam_ros.nodes.runtime import StartError
+from dopslam_ros.nodes.runtime import StartError, middleware_class, qos_profile
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Processes, Ros
@@ -56,7 +71,6 @@ def test_offers_and_hashes_are_stored(live: LiveRun) -> None:
 
 def test_hashes_are_those_of_the_middleware(ros: Ros, live: LiveRun) -> None:
     """The hash in the bag is the one that discovery reports for a publisher of the type."""
-    from dopslam_ros.nodes.runtime import middleware_class
 
     node = ros.node("publisher")
     for topic in topics.RECORDED:
@@ -115,7 +129,6 @@ def test_garbage_is_recorded_as_it_is(
     ros: Ros, tmp_path: Path, bag_payloads: Callable[..., list[bytes]]
 ) -> None:
     """The recorder does not look into messages: what cannot be read is kept for later."""
-    from dopslam_ros.nodes.runtime import middleware_class, qos_profile
 
     recorder = ros.start(RecorderNode, bag=str(tmp_path / "bag"))
     topic = topics.CHANNEL_MEASUREMENTS
@@ -129,17 +142,67 @@ def test_garbage_is_recorded_as_it_is(
     assert bag_payloads(tmp_path / "bag", topic) == [b"\0\1\0\0rubbish!"]
 
 
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system with room for 256 kB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(folder)]
+    if not shutil.which("mount") or subprocess.run(command, check=False).returncode:
+        pytest.skip("this user may not mount a file system")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_is_told_and_the_filter_runs_on(ros: Ros, small_disk: Path) -> None:
+    """Diagnostics say ERROR with the reason, what was written is valid, sets are still filtered."""
+
+    listener = ros.listen(topics.UE_STATE)
+    filtering = ros.start(FilterNode)
+    recorder = ros.start(RecorderNode, bag=str(small_disk / "bag"))
+    car = ros.node("car")
+    sets, controls = (
+        car.create_publisher(middleware_class(t.type_name), t.name, qos_profile(t.qos))
+        for t in (topics.CHANNEL_MEASUREMENTS, topics.ODOMETRY_CONTROL)
+    )
+    ros.spin_until(lambda: controls.get_subscription_count() == 2)
+    ros.spin_until(lambda: sets.get_subscription_count() == 2)
+    noise = np.random.default_rng(1)
+    while recorder.health()[0] != 2:  # bytes that are no set: only the recorder takes them
+        sets.publish(b"\0\1\0\0" + noise.bytes(10_000))
+        ros.spin_until(lambda: filtering.problems["malformed_message"] > 0)
+        filtering.problems.clear()
+    level, text, values = recorder.health()
+    assert (level, dict(values)["messages_lost"] > 0) == (2, True)
+    assert "No space left on device" in text and "make room" in text
+    for step in range(1, 4):
+        nothing = MeasurementSet(np.zeros((0, 6)), np.zeros((0, 6, 6)))
+        for topic, publisher, message in (
+            (
+                topics.ODOMETRY_CONTROL,
+                controls,
+                make_control(message_class, step * 10**9, Control(1.0, 0.0), Frames()),
+            ),
+            (
+                topics.CHANNEL_MEASUREMENTS,
+                sets,
+                make_measurements(message_class, step * 10**9, nothing, Frames()),
+            ),
+        ):
+            publisher.publish(serialize(message, topic.type_name))
+    ros.spin_until(lambda: listener.count(topics.UE_STATE) == 3)
+    reader = BagReader(small_disk / "bag")
+    assert 10 < reader.message_count == sum(1 for _ in reader.messages())
+    assert reader.damage is not None and "with 0 bytes that cannot be read" in reader.damage
+    ros.remove(recorder)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_closes_the_bag(
     processes: Processes, ros: Ros, tmp_path: Path, number: signal.Signals
 ) -> None:
     """Ctrl-C or a kill in the middle of the stream: exit 0, no traceback, an indexed bag."""
     from rclpy.duration import Duration
-
-    from dopslam_ros.bag import message_class, serialize
-    from dopslam_ros.core.motion import Control
-    from dopslam_ros.messages import Frames, make_control
-    from dopslam_ros.nodes.runtime import middleware_class, qos_profile
 
     processes.domain = ros.domain
     bag = tmp_path / "bag"
