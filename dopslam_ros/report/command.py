@@ -62,10 +62,8 @@ BAG is a bag, or a folder of bags: a run each. It is filtered as it was recorded
 settings of its own: parameters of the filter, and doppler=M/S or doppler=none. What has
 the same NAME are runs of one case.
 
-examples:
-  dopslam compare bags/paper bags/paper:doppler=none --out doppler.html
-  dopslam compare joint=runs/sims paper=runs/sims:coupling=marginal
-{str(parser.epilog).replace("example:", "").strip(chr(10))}"""
+{parser.epilog}
+  dopslam compare joint=runs/sims paper=runs/sims:coupling=marginal"""
 
 
 def compare(options: Any) -> int:
