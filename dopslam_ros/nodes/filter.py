@@ -31,10 +31,10 @@ class FilterNodeParameters(StorageParameters, DrawingParameters, FilterParameter
     map_frame: str = parameter("map", "Frame of everything that is estimated.")
     base_frame: str = parameter("base_link", "Frame of the vehicle.")
     most_waiting: int = parameter(
-        500,
-        "Sets that may wait when they come faster than they can be processed. When more do, the"
-        " oldest are dropped, counted as overload_dropped, and predicted through; a replay, which"
-        " has time, uses them.",
+        100,
+        "Sets, and controls, that may wait when they come faster than they can be processed. When"
+        " more do, the oldest are dropped, counted as overload_dropped, and predicted through; a"
+        " replay, which has time, uses them.",
         low=1,
         high=100_000,
     )
@@ -70,7 +70,7 @@ class FilterNode(DopslamNode):
         self.start_when_joined(p.wait_for_nodes, publishers, self._start)
 
     def _start(self) -> None:
-        self.subscribe(topics.CHANNEL_MEASUREMENTS, self._on_measurements, self._inbox, counts=True)
+        self.subscribe(topics.CHANNEL_MEASUREMENTS, self._on_measurements, self._inbox)
         self.subscribe_last(topics.ODOMETRY_CONTROL, self._on_control, self._inbox)
         self.create_timer(self._session.parameters.control_wait, self._on_silence)
         self.get_logger().info("ready")
@@ -87,10 +87,11 @@ class FilterNode(DopslamNode):
         measurements = read_measurements(message)
         self._publish(self._session.add_measurements(stamp_ns(message.header), measurements))
 
-    def _on_overload(self) -> None:
-        most = self._most_waiting
-        reason = f"more than {most} sets wait: send fewer, or give the node a faster processor"
-        self.refuse(topics.CHANNEL_MEASUREMENTS.name, Refused("overload_dropped", reason))
+    def _on_overload(self, topic: str) -> None:
+        of_sets = topic == topics.CHANNEL_MEASUREMENTS.name
+        reason = "overload_dropped" if of_sets else "overload_dropped_control"
+        text = f"more than {self._most_waiting} wait: send fewer, or give the node more processor"
+        self.refuse(topic, Refused(reason, text))
 
     def _on_silence(self) -> None:
         """Nothing arrived for a whole period: what waits will wait in vain."""
@@ -121,7 +122,10 @@ class FilterNode(DopslamNode):
             f"{self._sets} sets processed, {health.level.name}: {health.reason}",
             [
                 ("sets_processed", self._sets),
-                ("sets_waiting", self._session.pending + self._inbox.waiting),
+                (
+                    "sets_waiting",
+                    self._session.pending + self._inbox.waiting(topics.CHANNEL_MEASUREMENTS.name),
+                ),
                 ("landmarks", len(state.best.all_track_ids)),
                 ("step_ms_median", f"{np.median(steps):.3f}"),
                 ("step_ms_max", f"{steps.max():.3f}"),

@@ -198,7 +198,6 @@ class DopslamNode(Node):
         topic: topics.Topic,
         callback: Callable[[Any], None],
         inbox: Inbox | None = None,
-        counts: bool = False,
     ) -> None:
         """A subscription whose callback may raise an error with a ``reason``: it is counted.
 
@@ -209,7 +208,6 @@ class DopslamNode(Node):
             topic: what to read.
             callback: gets the messages.
             inbox: where they wait; None: each is handled as it comes.
-            counts: whether the inbox limits how many of them wait.
         """
 
         def guarded(payload: bytes) -> None:
@@ -220,7 +218,7 @@ class DopslamNode(Node):
 
         def waits(payload: bytes) -> None:
             assert inbox is not None
-            inbox.put(guarded, payload, counts)
+            inbox.put(topic.name, payload)
 
         subscription = self.create_subscription(
             middleware_class(topic.type_name),
@@ -231,7 +229,7 @@ class DopslamNode(Node):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         if inbox is not None:
-            inbox.watch(subscription, guarded, counts)
+            inbox.watch(topic.name, subscription, guarded)
 
     def subscribe_last(
         self, topic: topics.Topic, callback: Callable[[Any], None], inbox: Inbox | None = None

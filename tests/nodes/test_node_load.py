@@ -70,6 +70,7 @@ def test_too_many_sets_at_once(ros: Ros) -> None:
     assert stamps[-MOST:] == newest
     send(BURST, 10)
     ros.spin_until(lambda: heard.count(topics.UE_STATE) == used + 10)
-    assert node.problems == {"overload_dropped": BURST - used}
+    assert set(node.problems) <= {"overload_dropped", "overload_dropped_control"}
+    assert node.problems["overload_dropped"] == BURST - used
     values = dict(node.health()[2])
     assert values["sets_waiting"] == 0
