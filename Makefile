@@ -6,8 +6,11 @@ PYTHON ?=
 RATE ?=
 BIN := .venv/bin
 
-# As many tests at a time as there are processors; those of a file in one process.
-TEST := -m pytest -n auto --dist loadfile
+# Tests that start processes or measure them have the machine to themselves; of the others as many run
+# at a time as there are processors, those of a file in one process.
+ALONE := tests/nodes tests/bench tests/docs tests/report tests/test_demo.py tests/test_replay.py \
+  tests/test_watch.py tests/test_project.py
+TOGETHER := -n auto --dist loadfile $(addprefix --ignore=,$(ALONE))
 
 .PHONY: help setup docs browser demo test test-newest test-oldest lint colcon clean
 
@@ -23,11 +26,12 @@ demo: setup ## run the demo (RATE: times real time)
 test: test-newest test-oldest ## run the tests, with the newest and the oldest numpy and scipy
 
 test-newest: setup browser ## run the tests in .venv
-	@$(BIN)/python $(TEST)
+	@$(BIN)/python -m pytest $(TOGETHER)
+	@$(BIN)/python -m pytest $(ALONE)
 
 test-oldest: ## run those tests again that depend on numpy and scipy, in .venv-oldest
 	@python3 tools/setup_env.py --oldest $(if $(PYTHON),--python $(PYTHON))
-	@.venv-oldest/bin/python $(TEST) -m "not once"
+	@.venv-oldest/bin/python -m pytest $(TOGETHER) -m "not once"
 
 browser: ## install Chromium for the tests of pages, where root has apt-get
 	@python3 tools/browser.py

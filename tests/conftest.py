@@ -30,7 +30,7 @@ STEPS = 8
 SEED = 5
 # The stamp of the first snapshot, as `write_simulation` has it [s].
 START = 1.0
-PATIENCE = 30.0
+PATIENCE = 120.0
 # Names of odd length: CDR leaves gaps behind them.
 # What is only drawn comes with every set, so that it can be compared.
 UNPACED = {"path_period": 0.0, "path_spacing": 0.0, "markers_period": 0.0}

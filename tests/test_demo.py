@@ -92,7 +92,7 @@ def test_a_node_that_dies_is_named(
     tmp_path: Path, scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """When a node cannot start the demo ends at once and says whose log to read."""
-    monkeypatch.setattr(demo, "PATIENCE", 10.0)
+    monkeypatch.setattr(demo, "PATIENCE", 60.0)
     (tmp_path / "live").mkdir()  # the recorder finds its bag's place taken
     with pytest.raises(demo.DemoError, match=r"node recorder ended with code 2: see recorder\.log"):
         demo.run_live(str(scene), 1, 40.0, tmp_path, lambda done: None)
