@@ -131,4 +131,4 @@ def random_base(base: str, rng: np.random.Generator) -> Any:
         return float(np.dtype(base).type(rng.normal()))
     limits = np.iinfo({"byte": "int8", "char": "uint8"}.get(base, base))
     low = max(limits.min, 0) if base == "byte" else limits.min
-    return int(rng.integers(low, limits.max, endpoint=True, dtype=limits.dtype))
+    return int(rng.integers(low, limits.max, endpoint=True, dtype=limits.dtype.type))
