@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -74,7 +75,11 @@ def test_a_failing_task_leaves_the_others_alone(plan: Plan, expected: dict[Task,
 def children() -> set[int]:
     """The processes that this one has started."""
     threads = Path("/proc/self/task").iterdir()
-    return {int(pid) for t in threads for pid in (t / "children").read_text().split()}
+    found: set[int] = set()
+    for thread in threads:
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
+            found |= {int(pid) for pid in (thread / "children").read_text().split()}
+    return found
 
 
 def test_a_killed_process_is_told(short: Scenario) -> None:
