@@ -7,7 +7,8 @@ RATE ?=
 BIN := .venv/bin
 
 # Tests that start processes or measure them have the machine to themselves; of the others as many run
-# at a time as there are processors, those of a file in one process.
+# at a time as there are processors, those of a file in one process. What waits for processes gets a
+# second try: a machine may be busy with something else.
 ALONE := tests/nodes tests/bench tests/docs tests/report tests/test_demo.py tests/test_replay.py \
   tests/test_watch.py tests/test_project.py
 TOGETHER := -n auto --dist loadfile $(addprefix --ignore=,$(ALONE))
@@ -27,7 +28,7 @@ test: test-newest test-oldest ## run the tests, with the newest and the oldest n
 
 test-newest: setup browser ## run the tests in .venv
 	@$(BIN)/python -m pytest $(TOGETHER)
-	@$(BIN)/python -m pytest $(ALONE)
+	@$(BIN)/python -m pytest $(ALONE) --reruns 1
 
 test-oldest: ## run those tests again that depend on numpy and scipy, in .venv-oldest
 	@python3 tools/setup_env.py --oldest $(if $(PYTHON),--python $(PYTHON))

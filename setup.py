@@ -63,6 +63,7 @@ setup(
             "furo>=2024.1,<2027",
             "pytest>=7.4,<10",
             "pytest-timeout>=2.2,<3",
+            "pytest-rerunfailures>=13,<17",
             "pytest-xdist>=3.4,<4",
             "stonesoup>=1.4,<2",
             "mcap>=1.5,<2",
