@@ -109,6 +109,11 @@ def execute(plan: Plan, versions: dict[str, str], task: Task) -> Outcome:
     try:
         check_software(versions)
         return Outcome(task, run_task(plan, task), "")
+    except SystemError as error:
+        # Ctrl-C that came while a compiled function was being called.
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise error.__cause__ from None
+        return Outcome(task, None, traceback.format_exc())
     except Exception:
         return Outcome(task, None, traceback.format_exc())
 

@@ -106,6 +106,22 @@ def test_a_task_that_fails_is_told(short: Scenario) -> None:
     assert "Traceback" in outcome.error
 
 
+def test_ctrl_c_within_a_compiled_function_is_no_failure(short: Scenario) -> None:
+    """Numba's dispatcher makes a SystemError of it; another SystemError stays one."""
+    plan, task = Plan(short, ("joint",), (0.1,), 1, 9), Task("joint", 0.1, 0)
+
+    def stop(*arguments: object) -> None:
+        raise SystemError("returned a result with an exception set") from cause
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dopslam_ros.study.run.make_estimator", stop)
+        cause: BaseException = KeyboardInterrupt()
+        with pytest.raises(KeyboardInterrupt):
+            execute(plan, software(), task)
+        cause = ValueError()
+        assert "SystemError" in execute(plan, software(), task).error
+
+
 def test_another_version_computes_nothing(short: Scenario) -> None:
     check_software(software())
     versions = {**software(), "numpy": "1.26.0"}
