@@ -16,13 +16,14 @@ from dopslam_ros.core.bounds import DIFFUSE_STD
 from dopslam_ros.core.channel import DIM, LandmarkType, observe
 from dopslam_ros.core.filter import LandmarkEstimates, placement
 from dopslam_ros.core.filter.birth import propose
-from dopslam_ros.core.filter.evidence import Observed, masked_residual, prepare
+from dopslam_ros.core.filter.evidence import masked_residual, prepare
 from dopslam_ros.core.filter.state import (
     UE,
     UNKNOWN_TYPES,
     FilterParameters,
     initial_filter_state,
 )
+from dopslam_ros.core.kernels.records import Observed
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
 from dopslam_ros.core.simulator import CLUTTER

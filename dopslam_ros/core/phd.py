@@ -25,25 +25,25 @@ from scipy.special import logsumexp
 from dopslam_ros.core.arrays import FloatArray, IntArray, symmetrise, wrap_angle
 from dopslam_ros.core.assignment import UNASSIGNED, k_best_assignments
 from dopslam_ros.core.channel import LandmarkType, observe
-from dopslam_ros.core.filter.birth import Births, propose
+from dopslam_ros.core.filter.birth import propose
 from dopslam_ros.core.filter.estimates import LandmarkEstimates
 from dopslam_ros.core.filter.evidence import (
-    Observed,
-    gates,
     gaussian_terms,
     log_normaliser,
     masked_residual,
     prepare,
 )
-from dopslam_ros.core.filter.hypotheses import LOG_TINY
 from dopslam_ros.core.filter.state import (
     UE,
     UNKNOWN_TYPES,
     FilterParameters,
     FilterState,
+    gates,
     initial_filter_state,
 )
 from dopslam_ros.core.filter.undetected import Undetected, looked_from, nothing_seen
+from dopslam_ros.core.kernels.hypotheses import LOG_TINY
+from dopslam_ros.core.kernels.records import Births, Observed
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import detection_probabilities, log_clutter_intensity
 from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans

@@ -17,11 +17,13 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, wrap_angle
 from dopslam_ros.core.channel import LandmarkType
-from dopslam_ros.core.filter import FilterParameters, FilterState, Step, evidence, placement
+from dopslam_ros.core.filter import FilterParameters, FilterState, Step, placement
 from dopslam_ros.core.filter.asleep import as_of_now, wake_up
-from dopslam_ros.core.filter.state import UE
+from dopslam_ros.core.filter.evidence import prepare
+from dopslam_ros.core.filter.state import UE, gates
 from dopslam_ros.core.filter.step import posterior, rank
 from dopslam_ros.core.kernels import relocalise as kernels
+from dopslam_ros.core.kernels.records import Observed
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import log_clutter_intensity
 
@@ -93,7 +95,7 @@ def fixes(
     Raises:
         LinAlgError: the numbers allow no answer.
     """
-    observed = evidence.prepare(measurements, parameters)
+    observed = prepare(measurements, parameters)
     poses, spreads, odds = solutions(base, observed, speed, clock, parameters)
     found: list[Fix] = []
     for n in distinct(poses, spreads, odds)[:MOST_POSES]:
@@ -104,19 +106,16 @@ def fixes(
         here = wake_up(placed(base, poses[n], POINT * spreads[n]), parameters)
         ranked = rank(here, observed, speed, parameters)
         # The linearisation and the associations are those at the solution, the prior is none.
-        wide = replace(
-            ranked,
-            predicted=placed(here, poses[n], np.diag(np.square(ANYWHERE))),
-            born=replace(ranked.born, kept=np.zeros_like(ranked.born.kept)),
-        )
-        step = posterior(wide, observed, parameters)
+        wide = placed(here, poses[n], np.diag(np.square(ANYWHERE)))
+        unborn = ranked.born._replace(kept=np.zeros_like(ranked.born.kept))
+        step = posterior(wide, ranked._replace(born=unborn), observed, parameters)
         found.append(Fix(step, ranked.hypotheses.log_evidence + volume + prior))
     return sorted(found, key=lambda fix: -fix.log_evidence)
 
 
 def solutions(
     base: FilterState,
-    observed: evidence.Observed,
+    observed: Observed,
     speed: float,
     clock: Clock,
     parameters: FilterParameters,
@@ -138,7 +137,7 @@ def solutions(
         observed.used,
         observed.noise,
         _log_nobodys(observed, parameters),
-        evidence.gates(parameters.gate_probability),
+        gates(parameters.gate_probability),
         _possible(known, observed, parameters),
     )
     paths = len(observed.values)
@@ -190,7 +189,7 @@ def log_lost(measurements: MeasurementSet, parameters: FilterParameters) -> floa
 
     All paths are uniform over the box of clutter, as many as came.
     """
-    observed = evidence.prepare(measurements, parameters)
+    observed = prepare(measurements, parameters)
     expected = max(len(measurements) - parameters.clutter_mean, 1.0)
     log_rate = math.log(expected + parameters.clutter_mean)
     return float((log_rate - observed.used @ parameters.clutter_log_spans).sum()) - expected
@@ -221,16 +220,14 @@ def _known_landmarks(base: FilterState, parameters: FilterParameters) -> _Landma
     )
 
 
-def _log_nobodys(observed: evidence.Observed, parameters: FilterParameters) -> FloatArray:
+def _log_nobodys(observed: Observed, parameters: FilterParameters) -> FloatArray:
     """(J,) ln of the intensity of paths that are no landmark's; never that of an impossibility."""
     if parameters.clutter_mean > 0.0:
         return log_clutter_intensity(parameters, observed.used)
     return np.asarray(-(observed.used @ parameters.clutter_log_spans))
 
 
-def _possible(
-    known: _Landmarks, observed: evidence.Observed, parameters: FilterParameters
-) -> BoolArray:
+def _possible(known: _Landmarks, observed: Observed, parameters: FilterParameters) -> BoolArray:
     """(L, J) what may come from which whatever the pose: paths of SPs depart towards them."""
     leg = known.position - parameters.bs
     ground = np.maximum(np.hypot(leg[:, 0], leg[:, 1]), 1e-6)

@@ -23,12 +23,8 @@ from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indic
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter.sleepers import Sleepers
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
-from dopslam_ros.core.kernels.asleep import left_behind
+from dopslam_ros.core.kernels.asleep import MARGIN, left_behind
 
-# Standard deviations beyond the field of view at which a detection is out of the question.
-MARGIN = 5.0
-# A landmark falls asleep this share of the field of view farther away than it wakes up.
-HYSTERESIS = 0.1
 # Only virtual anchors that surely are what they are carry others.
 SURE = 0.999
 # Less likely than this when it is left behind, a landmark is forgotten.
@@ -39,22 +35,8 @@ SMALLEST_CELL = 1.0
 
 def fall_asleep(state: FilterState, parameters: FilterParameters) -> FilterState:
     """Puts SPs aside that the vehicle has left behind."""
-    reach, leaving = np.empty(len(state.component_track)), np.empty(len(state.track_id), np.bool_)
-    view = parameters.sp_field_of_view
-    # A track of open type stays: as a VA it is in view.
-    if not left_behind(
-        state.mean,
-        state.covariance,
-        state.origin,
-        state.axes,
-        state.component_track,
-        state.component_type,
-        view,
-        MARGIN,
-        HYSTERESIS * view,
-        reach,
-        leaving,
-    ):
+    reach, leaving = left_behind(state.density, float(parameters.sp_field_of_view))
+    if not leaving.any():
         return state
     asleep = state.asleep
     least = FORGOTTEN if parameters.mapping else 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
-from dopslam_ros.core.kernels.update import uncouple
+from dopslam_ros.core.kernels.merge import uncouple
 
 
 def map_of(state: FilterState) -> FilterState:

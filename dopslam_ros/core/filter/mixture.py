@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
 
 from dopslam_ros.core.arrays import FloatArray, IntArray, symmetrise, wrap_angle
-from dopslam_ros.core.filter import evidence, update
+from dopslam_ros.core.filter.asleep import fall_asleep
 from dopslam_ros.core.filter.estimates import LandmarkEstimates, reported_landmarks
+from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import (
     FilterParameters,
     FilterState,
     initial_filter_state,
 )
-from dopslam_ros.core.filter.step import (
-    Associations,
-    Conditioned,
-    Ranked,
-    advance,
-    associations_of,
-    condition,
-    finish,
-    rank,
-    step,
-)
+from dopslam_ros.core.filter.step import NOT_POSITIVE, Associations, advance, step
+from dopslam_ros.core.kernels import step as kernels
+from dopslam_ros.core.kernels.records import Conditioned, Observed, Ranked
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import ControlSpan
 
@@ -124,54 +117,61 @@ def mixture_step(
     if parameters.density == "pmb" or not parameters.mapping:
         outcome = step(mixture.best, measurements, spans, speed, parameters)
         return MixtureStep(Mixture((outcome.state,), np.ones(1)), outcome.associations)
-    observed = evidence.prepare(measurements, parameters)
-    ranked = [
-        rank(advance(hypothesis, spans, parameters), observed, speed, parameters)
-        for hypothesis in mixture.hypotheses
-    ]
+    observed, constants = prepare(measurements, parameters), parameters.constants
+    predicted = [advance(hypothesis, spans, parameters) for hypothesis in mixture.hypotheses]
+    ranked = [kernels.rank(one.density, observed, float(speed), constants) for one in predicted]
     numbered = np.any([one.born.kept for one in ranked], axis=0)
-    conditioned = [condition(one, numbered, observed, parameters) for one in ranked]
+    conditioned = [
+        kernels.continued(one.density, found, numbered, observed, constants)
+        for one, found in zip(predicted, ranked, strict=True)
+    ]
+    if not all(one.sound for one in ranked) or not all(one.updated.sound for one in conditioned):
+        raise np.linalg.LinAlgError(NOT_POSITIVE)
     log_prior = np.log(mixture.weight) + [one.hypotheses.log_evidence for one in ranked]
     prior = np.exp(log_prior - logsumexp(log_prior))
-    weight = np.concatenate(
-        [share * one.hypotheses.weight for share, one in zip(prior, ranked, strict=True)]
-    )
-    states = [
-        state
-        for one in conditioned
-        for state in update.separate(one.augmented, one.outcomes, parameters)
-    ]
+    parts = [share * one.hypotheses.weight for share, one in zip(prior, ranked, strict=True)]
+    weight = np.concatenate(parts)
     order = np.argsort(-weight, kind="stable")
     kept = [
         index
-        for rank_, index in enumerate(order[: parameters.hypotheses_kept].tolist())
-        if rank_ == 0 or weight[index] > parameters.prune_hypothesis
+        for rank, index in enumerate(order[: parameters.hypotheses_kept].tolist())
+        if rank == 0 or weight[index] > parameters.prune_hypothesis
     ]
-    return MixtureStep(
-        Mixture(
-            tuple(finish(states[index], parameters) for index in kept),
-            weight[kept] / weight[kept].sum(),
-        ),
-        _pooled(ranked, conditioned, weight, float(logsumexp(log_prior))),
-    )
+    begin = np.cumsum([0, *map(len, parts)])
+    states = []
+    for index in kept:
+        number = int(np.searchsorted(begin, index, side="right")) - 1
+        alone = np.zeros(len(parts[number]))
+        alone[index - begin[number]] = 1.0
+        density, leaving = kernels.conclude(alone, conditioned[number], constants)
+        state = FilterState.of(density, predicted[number].asleep)
+        states.append(fall_asleep(state, parameters) if leaving else state)
+    associations = _pooled(ranked, conditioned, observed, weight, float(logsumexp(log_prior)))
+    return MixtureStep(Mixture(tuple(states), weight[kept] / weight[kept].sum()), associations)
 
 
 def _pooled(
     ranked: Sequence[Ranked],
     conditioned: Sequence[Conditioned],
+    observed: Observed,
     weight: FloatArray,
     log_evidence: float,
 ) -> Associations:
     """The associations of all global hypotheses together."""
-    each = [associations_of(*pair) for pair in zip(ranked, conditioned, strict=True)]
+    each = [
+        kernels.name(
+            one.density.track_id,
+            found,
+            one.birth_track,
+            float(one.updated.nis[0]),
+            observed,
+        )
+        for found, one in zip(ranked, conditioned, strict=True)
+    ]
     born = np.max([one.born for one in each], axis=0)  # UNASSIGNED is below every id
     # The likeliest of all is the likeliest of one of them.
     first = np.cumsum([0, *(len(one.weight) for one in each[:-1])])
     likeliest = each[int(np.argmax(weight[first]))]
-    return replace(
-        likeliest,
-        ids=np.concatenate([one.ids for one in each]),
-        weight=weight,
-        born=born,
-        log_evidence=log_evidence,
-    )
+    ids = np.concatenate([one.ids for one in each])
+    pooled = likeliest._replace(ids=ids, weight=weight, born=born, log_evidence=log_evidence)
+    return Associations(*pooled)

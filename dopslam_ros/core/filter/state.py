@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
+from scipy.stats import chi2
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
-from dopslam_ros.core.channel import LandmarkType
+from dopslam_ros.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    block_indices,
+    floats,
+    integers,
+    symmetrise,
+)
+from dopslam_ros.core.channel import DIM, LandmarkType
 from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.sleepers import Asleep
 from dopslam_ros.core.filter.undetected import Undetected, nothing_seen
-from dopslam_ros.core.kernels.update import keep
+from dopslam_ros.core.kernels.records import UE, Constants, Density
 from dopslam_ros.core.model import OnlineParameters
 from dopslam_ros.core.parameters import parameter
 
 # The types that a landmark of unknown type may have; a BS is always known.
 UNKNOWN_TYPES = (int(LandmarkType.VA), int(LandmarkType.SP))
-UE = 4
+__all__ = [
+    "UE",
+    "UNKNOWN_TYPES",
+    "FilterParameters",
+    "FilterState",
+    "gates",
+    "initial_filter_state",
+]
 
 
 @dataclass(frozen=True)
@@ -110,6 +128,35 @@ class FilterParameters(OnlineParameters):
         low=1e-3,
     )
 
+    @cached_property
+    def constants(self) -> Constants:
+        """The same as the compiled parts take it."""
+        return Constants(
+            bs=self.bs,
+            ue_height=float(self.ue_height),
+            probability=float(self.detection_probability),
+            sight=float(self.sp_field_of_view),
+            noise=self.noise,
+            used=self.used_components,
+            log_clutter=math.log(self.clutter_mean) if self.clutter_mean > 0.0 else -math.inf,
+            log_spans=self.clutter_log_spans,
+            gates=gates(self.gate_probability),
+            height_mean=float(self.landmark_height_mean),
+            height_std=float(self.landmark_height_std),
+            log_undetected=math.log(self.undetected_intensity),
+            floor=float(self.undetected_floor),
+            gamma=int(self.gamma),
+            prune_existence=float(self.prune_existence),
+            prune_type=float(self.prune_type),
+            joint=self.coupling == "joint",
+        )
+
+
+@cache
+def gates(probability: float) -> FloatArray:
+    """(7,) squared Mahalanobis distances inside which a path lies, by its number of components."""
+    return np.asarray(chi2.ppf(probability, np.arange(DIM + 1)))
+
 
 @dataclass(frozen=True)
 class FilterState:
@@ -146,6 +193,46 @@ class FilterState:
     undetected: Undetected
     asleep: Asleep
     next_id: int
+
+    @cached_property
+    def density(self) -> Density:
+        """All but what is asleep, as the compiled parts take it."""
+        return Density(
+            mean=floats(self.mean),
+            covariance=floats(self.covariance),
+            origin=floats(self.origin),
+            axes=floats(self.axes),
+            component_track=integers(self.component_track),
+            component_type=integers(self.component_type),
+            component_weight=floats(self.component_weight),
+            track_id=integers(self.track_id),
+            existence=floats(self.existence),
+            looks=int(self.undetected.looks),
+            viewpoints=floats(self.undetected.viewpoints),
+            viewpoint_looks=integers(self.undetected.viewpoint_looks),
+            next_id=int(self.next_id),
+        )
+
+    @staticmethod
+    def of(density: Density, asleep: Asleep) -> FilterState:
+        """The state with a density, which is as the compiled parts made it."""
+        one = density
+        state = FilterState(
+            one.mean,
+            one.covariance,
+            one.origin,
+            one.axes,
+            one.component_track,
+            one.component_type,
+            one.component_weight,
+            one.track_id,
+            one.existence,
+            Undetected(one.looks, one.viewpoints, one.viewpoint_looks),
+            asleep,
+            one.next_id,
+        )
+        vars(state)["density"] = density
+        return state
 
     @property
     def ue_mean(self) -> FloatArray:
@@ -196,14 +283,13 @@ class FilterState:
             components: (C,) which are kept.
             tracks: (T,) which are kept; they have a component that is.
         """
-        size = UE + 3 * int(np.count_nonzero(components))
-        mean, covariance = np.empty(size), np.empty((size, size))
-        keep(self.mean, self.covariance, components, mean, covariance)
+        blocks = block_indices(UE, np.flatnonzero(components), 3).ravel()
+        index = np.concatenate([np.arange(UE), blocks])
         renumbered = np.cumsum(tracks) - 1
         return replace(
             self,
-            mean=mean,
-            covariance=covariance,
+            mean=self.mean[index],
+            covariance=self.covariance[np.ix_(index, index)],
             origin=self.origin[components],
             axes=self.axes[components],
             component_track=renumbered[self.component_track[components]],

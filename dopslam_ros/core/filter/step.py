@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, wrap_angle
+from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.assignment import UNASSIGNED
-from dopslam_ros.core.filter import birth, evidence, hypotheses, update
 from dopslam_ros.core.filter.asleep import fall_asleep, wake_up
-from dopslam_ros.core.filter.localise import localised
-from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
-from dopslam_ros.core.filter.undetected import looked_from
+from dopslam_ros.core.filter.evidence import prepare
+from dopslam_ros.core.filter.state import FilterParameters, FilterState
+from dopslam_ros.core.kernels import step as kernels
+from dopslam_ros.core.kernels.localise import localise
+from dopslam_ros.core.kernels.motion import predict as predict_arrays
+from dopslam_ros.core.kernels.records import Observed, Ranked
 from dopslam_ros.core.measurements import MeasurementSet
-from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
+from dopslam_ros.core.motion import ControlSpan, span_rows
 
 # Row 0 of the association problem is the BS, whose id is 0 as well.
 BS_ID = 0
+NOT_POSITIVE = "an innovation's covariance is not positive definite"
 
 
 @dataclass(frozen=True)
@@ -79,121 +82,44 @@ def step(
         spans: controls since the previous snapshot; empty for the first one.
         speed: v at the snapshot [m/s].
         parameters: models and settings.
+
+    Raises:
+        LinAlgError: an innovation's covariance is not positive definite.
     """
-    observed = evidence.prepare(measurements, parameters)
-    ranked = rank(advance(state, spans, parameters), observed, speed, parameters)
-    return posterior(ranked, observed, parameters)
-
-
-def posterior(ranked: Ranked, observed: evidence.Observed, parameters: FilterParameters) -> Step:
-    """The second half of a step: what follows from the associations."""
-    if not parameters.mapping:
-        return _localise(ranked, observed, parameters)
-    conditioned = condition(ranked, ranked.born.kept, observed, parameters)
-    merged = update.merge(
-        conditioned.augmented, conditioned.outcomes, ranked.hypotheses, parameters
-    )
-    return Step(state=finish(merged, parameters), associations=associations_of(ranked, conditioned))
-
-
-@dataclass(frozen=True)
-class Ranked:
-    """A density and how the paths may go with it.
-
-    Attributes:
-        predicted: the density the paths are weighed against.
-        evidence: of every source.
-        births: a candidate from every path.
-        weights: of every pair.
-        hypotheses: the best associations.
-        born: births worth keeping.
-    """
-
-    predicted: FilterState
-    evidence: evidence.Evidence
-    births: birth.Births
-    weights: hypotheses.LocalWeights
-    hypotheses: hypotheses.Hypotheses
-    born: update.Newborn
-
-
-@dataclass(frozen=True)
-class Conditioned:
-    """A density given each of its H associations.
-
-    Attributes:
-        augmented: with the births.
-        outcomes: existence and types.
-        nis: of the likeliest of them, see Associations.
-        nis_dof: of the same.
-    """
-
-    augmented: update.Augmented
-    outcomes: update.Outcomes
-    nis: float
-    nis_dof: int
+    predicted = advance(state, spans, parameters)
+    observed = prepare(measurements, parameters)
+    return posterior(predicted, rank(predicted, observed, speed, parameters), observed, parameters)
 
 
 def rank(
-    predicted: FilterState,
-    observed: evidence.Observed,
-    speed: float,
-    parameters: FilterParameters,
+    predicted: FilterState, observed: Observed, speed: float, parameters: FilterParameters
 ) -> Ranked:
-    """Weighs the paths against a predicted density and finds the best associations."""
-    fit = evidence.weigh(predicted, observed, speed, parameters)
-    births = birth.propose(predicted, observed, speed, parameters)
-    weights = hypotheses.local_weights(predicted, observed, fit, births, parameters)
-    best = hypotheses.associate(predicted, weights, parameters)
-    born = update.newborn(births, weights, best, parameters)
-    return Ranked(predicted, fit, births, weights, best, born)
+    """The first half of a step: how the paths may go with a predicted density."""
+    return kernels.rank(predicted.density, observed, float(speed), parameters.constants)
 
 
-def condition(
-    ranked: Ranked,
-    numbered: BoolArray,
-    observed: evidence.Observed,
-    parameters: FilterParameters,
-) -> Conditioned:
-    """Updates a density with each of its associations; ``numbered`` (J,) births get an id."""
-    updated = update.condition(ranked.predicted, observed, ranked.evidence, ranked.hypotheses)
-    augmented = update.augment(
-        ranked.predicted,
-        updated.means,
-        updated.covariances,
-        ranked.births,
-        ranked.born,
-        numbered,
-        parameters,
-    )
-    outcomes = update.judge(augmented, ranked.evidence, ranked.hypotheses)
-    return Conditioned(augmented, outcomes, *_fit(updated, ranked.hypotheses, observed))
+def posterior(
+    predicted: FilterState, ranked: Ranked, observed: Observed, parameters: FilterParameters
+) -> Step:
+    """The second half of a step: what follows from the associations.
 
-
-def _fit(
-    updated: update.Updated, best: hypotheses.Hypotheses, observed: evidence.Observed
-) -> tuple[float, int]:
-    """The normalised innovation squared of the likeliest hypothesis and what it counts."""
-    return float(updated.nis[0]), int(observed.used[best.source[0] != UNASSIGNED].sum())
-
-
-def _localise(ranked: Ranked, observed: evidence.Observed, parameters: FilterParameters) -> Step:
-    """The step on a known map: what is not of it is clutter or new, and of no interest."""
-    predicted, best = ranked.predicted, ranked.hypotheses
-    updated = update.condition(predicted, observed, ranked.evidence, best)
-    state = localised(predicted, updated.means, updated.covariances, best.weight, parameters)
-    nothing_born = np.full(len(observed.values), UNASSIGNED)
-    fit = _fit(updated, best, observed)
-    return Step(state, _associations(predicted, ranked, nothing_born, *fit))
-
-
-def finish(state: FilterState, parameters: FilterParameters) -> FilterState:
-    """A posterior density made ready for the next step."""
-    pruned = update.prune(state, parameters)
-    mean = pruned.mean.copy()
-    mean[2] = wrap_angle(mean[2])
-    looked = looked_from(state.undetected, mean[:2], parameters)
-    return fall_asleep(replace(pruned, mean=mean, undetected=looked), parameters)
+    Raises:
+        LinAlgError: an innovation's covariance is not positive definite.
+    """
+    before, constants = predicted.density, parameters.constants
+    if parameters.mapping:
+        conditioned = kernels.continued(before, ranked, ranked.born.kept, observed, constants)
+        density, leaving = kernels.conclude(ranked.hypotheses.weight, conditioned, constants)
+        nis, sound = float(conditioned.updated.nis[0]), conditioned.updated.sound
+        ids, birth_track = conditioned.density.track_id, conditioned.birth_track
+    else:
+        density, leaving, nis, sound = localise(before, ranked, observed, constants)
+        ids, birth_track = before.track_id, np.full(len(observed.values), UNASSIGNED)
+    if not (sound and ranked.sound):
+        raise np.linalg.LinAlgError(NOT_POSITIVE)
+    named = kernels.name(ids, ranked, birth_track, nis, observed)
+    after = FilterState.of(density, predicted.asleep)
+    return Step(fall_asleep(after, parameters) if leaving else after, Associations(*named))
 
 
 def advance(
@@ -209,32 +135,8 @@ def predict(
     """The vehicle moves by f with F P F' + Q; the map is static, its correlation follows F."""
     if not spans:
         return state
-    ue, jacobian, noise = propagate_spans(state.ue_mean, spans, parameters.noise_rate)
-    mean = np.concatenate([ue, state.mean[UE:]])
-    covariance = predict_covariance(state.covariance, jacobian, noise)
-    return replace(state, mean=mean, covariance=covariance)
-
-
-def associations_of(ranked: Ranked, conditioned: Conditioned) -> Associations:
-    """The associations in terms of landmark ids."""
-    augmented = conditioned.augmented
-    born = np.concatenate([augmented.state.track_id, [UNASSIGNED]])[augmented.birth_track]
-    return _associations(augmented.state, ranked, born, conditioned.nis, conditioned.nis_dof)
-
-
-def _associations(
-    state: FilterState, ranked: Ranked, born: IntArray, nis: float, nis_dof: int
-) -> Associations:
-    best, weights = ranked.hypotheses, ranked.weights
-    row_ids = np.concatenate([[BS_ID], state.track_id, [UNASSIGNED]])  # UNASSIGNED is the last one
-    return Associations(
-        ids=row_ids[best.track],
-        weight=best.weight,
-        born=born,
-        nis=nis,
-        nis_dof=nis_dof,
-        log_evidence=best.log_evidence,
-        sources=row_ids[: len(weights.missed)],
-        log_missed=weights.missed,
-        log_new=weights.new,
+    before = state.density
+    mean, covariance = predict_arrays(
+        before.mean, before.covariance, span_rows(spans), parameters.noise_rate
     )
+    return FilterState.of(before._replace(mean=mean, covariance=covariance), state.asleep)

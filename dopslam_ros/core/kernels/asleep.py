@@ -6,48 +6,46 @@ import math
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
+from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.kernels.channel import SP
 from dopslam_ros.core.kernels.compiled import compiled
 from dopslam_ros.core.kernels.placement import place, place_jacobian
+from dopslam_ros.core.kernels.records import UE, Density
 
-UE = 4
+# Standard deviations beyond the field of view at which a detection is out of the question.
+MARGIN = 5.0
+# A landmark falls asleep this share of the field of view farther away than it wakes up.
+HYSTERESIS = 0.1
 
 
 @compiled
-def left_behind(
-    mean: FloatArray,
-    covariance: FloatArray,
-    origin: FloatArray,
-    axes: FloatArray,
-    component_track: IntArray,
-    component_type: IntArray,
-    view: float,
-    margin: float,
-    hysteresis: float,
-    reach: FloatArray,
-    leaving: BoolArray,
-) -> bool:
+def some_left_behind(density: Density, view: float) -> bool:
+    """Whether there is any track that ``left_behind`` finds."""
+    _, leaving = left_behind(density, view)
+    for one in leaving:
+        if one:
+            return True
+    return False
+
+
+@compiled
+def left_behind(density: Density, view: float) -> tuple[FloatArray, BoolArray]:
     """Tracks of which every component is an SP too far away to be detected.
 
     Args:
-        mean: (4 + 3 C,).
-        covariance: (4 + 3 C, 4 + 3 C).
-        origin: (C, 3) of the components' frames [m].
-        axes: (C, 3, 3).
-        component_track: (C,).
-        component_type: (C,).
+        density: after a step.
         view: the field of view [m].
-        margin: standard deviations beyond it at which a detection is out of the question.
-        hysteresis: how much farther away they must be [m].
-        reach: (C,) result: the distance at which they must be awake again [m].
-        leaving: (T,) result.
 
     Returns:
-        Whether there is any.
+        (C,) the distance at which the components must be awake again [m], and (T,) which tracks
+        are left behind.
     """
-    blur = margin * math.sqrt(covariance[0, 0] + covariance[1, 1])
-    leaving[:] = True
+    mean, covariance = density.mean, density.covariance
+    origin, axes = density.origin, density.axes
+    component_track, component_type = density.component_track, density.component_type
+    reach = np.empty(len(component_track))
+    leaving = np.full(len(density.track_id), True)
+    blur = MARGIN * math.sqrt(covariance[0, 0] + covariance[1, 1])
     position, jacobian = np.empty(3), np.empty((3, 3))
     for c in range(len(component_track)):
         at = UE + 3 * c
@@ -58,8 +56,8 @@ def left_behind(
             for k in range(3):
                 for j in range(3):
                     spread += jacobian[i, k] * covariance[at + k, at + j] * jacobian[i, j]
-        reach[c] = view + margin * math.sqrt(max(spread, 0.0))
+        reach[c] = view + MARGIN * math.sqrt(max(spread, 0.0))
         distance = math.hypot(position[0] - mean[0], position[1] - mean[1])
-        if component_type[c] != SP or distance <= reach[c] + blur + hysteresis:
+        if component_type[c] != SP or distance <= reach[c] + blur + HYSTERESIS * view:
             leaving[component_track[c]] = False
-    return bool(leaving.any())
+    return reach, leaving

@@ -9,16 +9,19 @@ import math
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
+from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.kernels.channel import (
     DIM,
+    SP,
     VA,
     observe_source,
     unit,
     wrapped,
 )
 from dopslam_ros.core.kernels.compiled import compiled
-from dopslam_ros.core.kernels.incidence import to_virtual_anchor
+from dopslam_ros.core.kernels.detection import apart, detection_probability, log_share_left
+from dopslam_ros.core.kernels.incidence import incidence_points, to_virtual_anchor
+from dopslam_ros.core.kernels.records import UE, Births, Constants, Density, Observed
 from dopslam_ros.core.kernels.small import (
     backward,
     cholesky,
@@ -38,72 +41,62 @@ LOG_2PI = math.log(2.0 * math.pi)
 
 
 @compiled
-def propose(
-    ue: FloatArray,
-    ue_covariance: FloatArray,
-    speed: float,
-    bs: FloatArray,
-    ue_height: float,
-    height_mean: float,
-    height_std: float,
-    values: FloatArray,
-    used: BoolArray,
-    noise: FloatArray,
-    incidence: FloatArray,
-    located: BoolArray,
-    types: IntArray,
-    position: FloatArray,
-    covariance: FloatArray,
-    gain: FloatArray,
-    spread: FloatArray,
-    log_evidence: FloatArray,
-) -> None:
-    """Fits a landmark of each of T types to each of J paths.
+def propose(density: Density, observed: Observed, speed: float, constants: Constants) -> Births:
+    """Fits a landmark of each type to each path, the vehicle being uncertain.
+
+    Starts where the ray of arrival (or of departure) meets the ellipsoid of the delay, then
+    Gauss-Newton on all measured components. The vehicle's uncertainty counts as measurement noise,
+    R + A P A', and comes back as the correlation with the vehicle. rho is the Laplace approximation
+    of the integral of lambda p_D N(z; h(x, s), R) over x and s.
 
     Args:
-        ue: (4,) predicted vehicle.
-        ue_covariance: (4, 4).
-        speed: v [m/s].
-        bs: (3,) [m].
-        ue_height: [m].
-        height_mean: prior of a landmark's height [m].
-        height_std: [m].
-        values: (J, 6) z.
-        used: (J, 6) which components count.
-        noise: (J, 6, 6) R, unit where not used.
-        incidence: (J, 3) where each path touched the world, to start from [m].
-        located: (J,) whether that is known.
-        types: (T,) LandmarkType.
-        position: (T, J, 3) to be written [m].
-        covariance: (T, J, 3, 3) to be written [m^2]; like the rest, left alone without a landmark.
-        gain: (T, J, 3, 4) to be written.
-        spread: (T, J) to be written: standard deviation of the distance to the vehicle [m].
-        log_evidence: (T, J) to be written: ln of the integral of N(z; h(x, s), R) times the prior
-            on the height (1 at its mean) over x and s, by Laplace.
+        density: predicted.
+        observed: J paths.
+        speed: v at the snapshot [m/s].
+        constants: intensities and the height prior.
     """
+    ue, ue_covariance = density.mean[:UE].copy(), density.covariance[:UE, :UE].copy()
+    paths = len(observed.values)
+    start, located = np.empty((paths, 3)), np.empty(paths, np.bool_)
+    incidence_points(
+        ue,
+        constants.ue_height,
+        constants.bs,
+        constants.height_mean,
+        observed.values,
+        start,
+        located,
+    )
+    births = Births(
+        np.empty((2, paths, 3)),
+        np.zeros((2, paths, 3, 3)),
+        np.zeros((2, paths, 3, 4)),
+        np.full((2, paths), -math.inf),
+    )
     h, a, b = np.empty(DIM), np.empty((DIM, 4)), np.empty((DIM, 3))
     root, white, normal = np.empty((DIM, DIM)), np.empty((DIM, 4)), np.empty((4, 4))
-    for t in range(len(types)):
-        for j in range(len(values)):
-            place = position[t, j]
+    for t in range(2):
+        kind = VA if t == 0 else SP
+        for j in range(paths):
+            place, used = births.position[t, j], observed.used[j]
             for i in range(3):
-                place[i] = incidence[j, i]
+                place[i] = start[j, i]
             if not located[j]:
                 continue
-            if types[t] == VA:
-                to_virtual_anchor(ue, ue_height, bs, place)
+            if kind == VA:
+                to_virtual_anchor(ue, constants.ue_height, constants.bs, place)
             if not fit(
                 ue,
                 ue_covariance,
                 speed,
-                bs,
-                ue_height,
-                height_mean,
-                height_std,
-                values[j],
-                used[j],
-                noise[j],
-                types[t],
+                constants.bs,
+                constants.ue_height,
+                constants.height_mean,
+                constants.height_std,
+                observed.values[j],
+                used,
+                observed.noise[j],
+                kind,
                 place,
                 h,
                 a,
@@ -113,10 +106,38 @@ def propose(
                 normal,
             ):
                 continue
-            if not spread_out(a, root, white, normal, covariance[t, j], gain[t, j]):
+            covariance = births.covariance[t, j]
+            if not spread_out(a, root, white, normal, covariance, births.gain[t, j]):
                 continue
-            spread[t, j] = distance_std(ue, ue_height, place, covariance[t, j])
-            log_evidence[t, j] = laplace(root, normal, used[j])
+            blur = distance_std(ue, constants.ue_height, place, covariance)
+            births.log_intensity[t, j] = laplace(root, normal, used) + log_undetected(
+                density, place, kind, blur, constants
+            )
+    return births
+
+
+@compiled
+def log_undetected(
+    density: Density, position: FloatArray, kind: int, blur: float, constants: Constants
+) -> float:
+    """ln (lambda p_D) at a place (3,) [m], of a type, with a std of the distance [m]."""
+    distance = apart(density.mean[0], density.mean[1], constants.ue_height, position)
+    seen = detection_probability(kind, distance, blur, constants.probability, constants.sight)
+    if not seen > 0.0:
+        return -math.inf
+    share = log_share_left(
+        density.looks,
+        density.viewpoints,
+        density.viewpoint_looks,
+        constants.ue_height,
+        position,
+        kind,
+        blur,
+        constants.probability,
+        constants.sight,
+        constants.floor,
+    )
+    return constants.log_undetected + share + math.log(seen)
 
 
 @compiled

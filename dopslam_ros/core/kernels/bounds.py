@@ -8,9 +8,8 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.records import UE
 from dopslam_ros.core.kernels.small import cholesky, forward_columns
-
-UE = 4
 
 
 @compiled

@@ -20,12 +20,26 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def compiled(function: F) -> F:
     """The function as machine code, made at the first call with arguments of new types."""
+    return _compiled(function)
+
+
+def part_of_one(function: F) -> F:
+    """A function that only one other calls, and the compiler makes a part of that one.
+
+    What is handed over are dozens of arrays: as functions of their own these take it twice as long.
+    """
+    return _compiled(function, inline="always")
+
+
+def _compiled(function: F, **more: Any) -> F:
+    # Nobody calls these by a C function's pointer, which takes the compiler long to prepare.
+    options: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, **more}
     settings: Any = numba.config
     before, settings.CACHE_DIR = settings.CACHE_DIR, str(cache_folder())
     try:
-        return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+        return cast(F, numba.njit(cache=True, **options)(function))
     except RuntimeError:  # no folder can be written: compile in every process
-        return cast(F, numba.njit(error_model="numpy")(function))
+        return cast(F, numba.njit(**options)(function))
     finally:
         settings.CACHE_DIR = before
 

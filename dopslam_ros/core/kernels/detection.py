@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.kernels.channel import SP
 from dopslam_ros.core.kernels.compiled import compiled
@@ -12,6 +14,10 @@ from dopslam_ros.core.kernels.compiled import compiled
 SMALLEST_SPREAD = 1e-9
 # Even what is always detected leaves a chance to have been missed.
 LARGEST_PROBABILITY = 1.0 - 1e-9
+# Viewpoints nearer to each other than this share of the field of view count as one.
+SPACING = 0.1
+# More than any field of view needs; the oldest go first.
+MOST_VIEWPOINTS = 400
 
 
 @compiled
@@ -61,69 +67,41 @@ def detection_probabilities(
 
 
 @compiled
-def log_shares_left(
+def log_share_left(
     looks: int,
     viewpoints: FloatArray,
     viewpoint_looks: IntArray,
     ue_height: float,
-    positions: FloatArray,
-    types: IntArray,
-    spread: FloatArray,
+    position: FloatArray,
+    kind: int,
+    spread: float,
     probability: float,
     view: float,
     floor: float,
-    log_share: FloatArray,
-) -> None:
-    """ln of the share of undetected landmarks left at M places, into log_share (M,).
+) -> float:
+    """ln of the share of undetected landmarks left at a place.
 
     Args:
         looks: number of snapshots so far.
         viewpoints: (K, 2) places of the vehicle [m].
         viewpoint_looks: (K,) number of snapshots near each.
         ue_height: z of the vehicle's antenna [m].
-        positions: (M, 3) [m].
-        types: (M,) VA or SP.
-        spread: (M,) standard deviations of the distances [m].
+        position: (3,) [m].
+        kind: VA or SP.
+        spread: standard deviation of the distance [m].
         probability: p_D of a visible landmark.
         view: field of view for SPs [m].
         floor: share that always remains.
-        log_share: (M,) to be written.
     """
-    everywhere = looks * math.log1p(-min(probability, LARGEST_PROBABILITY))
-    least = math.log(floor)
-    for m in range(len(types)):
-        total = everywhere
-        if types[m] == SP:
-            total = 0.0
-            for k in range(len(viewpoints)):
-                away = apart(viewpoints[k, 0], viewpoints[k, 1], ue_height, positions[m])
-                seen = detection_probability(types[m], away, spread[m], probability, view)
-                total += viewpoint_looks[k] * math.log1p(-min(seen, LARGEST_PROBABILITY))
-        log_share[m] = max(total, least)
-
-
-@compiled
-def add_log_detection(
-    ue: FloatArray,
-    ue_height: float,
-    positions: FloatArray,
-    types: IntArray,
-    spread: FloatArray,
-    probability: float,
-    view: float,
-    log_share: FloatArray,
-) -> None:
-    """Adds ln p_D to log_share (M,), -inf where nothing can be detected; the rest as above.
-
-    Args:
-        ue: (4,) the vehicle now.
-        ue_height, positions, types, spread, probability, view: as in ``log_shares_left``.
-        log_share: (M,) to be added to.
-    """
-    for m in range(len(types)):
-        distance = apart(ue[0], ue[1], ue_height, positions[m])
-        seen = detection_probability(types[m], distance, spread[m], probability, view)
-        log_share[m] += math.log(seen) if seen > 0.0 else -math.inf
+    least, total = math.log(floor), 0.0
+    if kind != SP:
+        total = looks * math.log1p(-min(probability, LARGEST_PROBABILITY))
+    else:
+        for k in range(len(viewpoints)):
+            away = apart(viewpoints[k, 0], viewpoints[k, 1], ue_height, position)
+            seen = detection_probability(kind, away, spread, probability, view)
+            total += viewpoint_looks[k] * math.log1p(-min(seen, LARGEST_PROBABILITY))
+    return max(total, least)
 
 
 @compiled
@@ -134,16 +112,35 @@ def apart(x: float, y: float, z: float, position: FloatArray) -> float:
 
 
 @compiled
-def nearest_viewpoint(viewpoints: FloatArray, x: float, y: float) -> tuple[int, float, float]:
-    """Which viewpoint (K, 2) is nearest to (x, y); its distance and that of the farthest [m].
-
-    Returns:
-        Index, -1 if there is none; the two distances.
-    """
-    index, least, most = -1, math.inf, 0.0
-    for k in range(len(viewpoints)):
-        distance = math.hypot(viewpoints[k, 0] - x, viewpoints[k, 1] - y)
-        if distance < least:
-            index, least = k, distance
-        most = max(most, distance)
-    return index, least, most
+def looked_from(
+    viewpoints: FloatArray, viewpoint_looks: IntArray, x: float, y: float, view: float
+) -> tuple[FloatArray, IntArray]:
+    """Viewpoints (K, 2) and the snapshots near each (K,) after one more, taken from (x, y) [m]."""
+    count = len(viewpoints)
+    nearest, least, most = 0, math.inf, 0.0
+    away = np.empty(count)
+    for k in range(count):
+        away[k] = math.hypot(viewpoints[k, 0] - x, viewpoints[k, 1] - y)
+        if away[k] < least:
+            nearest, least = k, away[k]
+        most = max(most, away[k])
+    if least < SPACING * view:
+        looks = viewpoint_looks.copy()
+        looks[nearest] += 1
+        return viewpoints, looks
+    # What is beyond two fields of view cannot overlap with this one.
+    limit = math.inf
+    if most > 2.0 * view or count > MOST_VIEWPOINTS:
+        limit = 2.0 * view
+    kept, first = 0, count
+    while first > 0 and kept < MOST_VIEWPOINTS:
+        first -= 1
+        kept += away[first] <= limit
+    more, looks, filled = np.empty((kept + 1, 2)), np.empty(kept + 1, np.int64), 0
+    for k in range(first, count):
+        if away[k] <= limit:
+            more[filled, 0], more[filled, 1] = viewpoints[k, 0], viewpoints[k, 1]
+            looks[filled] = viewpoint_looks[k]
+            filled += 1
+    more[filled, 0], more[filled, 1], looks[filled] = x, y, 1
+    return more, looks

@@ -6,17 +6,17 @@ import math
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
+from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.channel import AZIMUTHS, DIM
 from dopslam_ros.core.kernels.channel import BS, observe_source, unit, wrapped
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part_of_one
 from dopslam_ros.core.kernels.detection import detection_probability
 from dopslam_ros.core.kernels.placement import place, place_jacobian
+from dopslam_ros.core.kernels.records import UE, Constants, Density, Evidence, Observed
 from dopslam_ros.core.kernels.small import cholesky, forward, log_determinant, used_places
 
 LOG_2PI = math.log(2.0 * math.pi)
 ARRIVAL, DEPARTURE = AZIMUTHS
-UE = 4
 
 
 @compiled
@@ -25,10 +25,7 @@ def prepare(
     covariances: FloatArray,
     used_components: BoolArray,
     default_noise: FloatArray,
-    kept: FloatArray,
-    used: BoolArray,
-    noise: FloatArray,
-) -> None:
+) -> Observed:
     """Masks what is not used and fills in the noise of paths that have none of their own.
 
     Args:
@@ -36,10 +33,9 @@ def prepare(
         covariances: (J, 6, 6), zero where the default is meant.
         used_components: (6,).
         default_noise: (6, 6).
-        kept: (J, 6) result: values, NaN where they do not count.
-        used: (J, 6) result: which count.
-        noise: (J, 6, 6) result: symmetric, unit where it does not count.
     """
+    kept, used = np.empty(values.shape), np.empty(values.shape, np.bool_)
+    noise = np.empty(covariances.shape)
     for j in range(values.shape[0]):
         given = False
         for k in range(DIM):
@@ -54,47 +50,72 @@ def prepare(
                     noise[j, k, i] = 0.5 * (source[k, i] + source[i, k])
                 else:
                     noise[j, k, i] = 1.0 if i == k else 0.0
+    return Observed(kept, used, noise)
 
 
-@compiled
+@part_of_one
+def weigh(
+    density: Density, observed: Observed, speed: float, constants: Constants
+) -> tuple[Evidence, bool]:
+    """Local likelihoods N(z_j; h_i, S_i) with S = A P A' + B P B' + cross terms + R.
+
+    Args:
+        density: predicted.
+        observed: J paths.
+        speed: v at the snapshot [m/s].
+        constants: gate, p_D and noise.
+
+    Returns:
+        The evidence, and whether all covariances were positive definite.
+    """
+    sources, paths = len(density.component_type) + 1, len(observed.values)
+    evidence = Evidence(
+        np.empty((sources, DIM, UE)),
+        np.empty((sources, DIM, 3)),
+        np.empty(sources),
+        np.empty((sources, paths, DIM)),
+        np.empty((sources, paths)),
+    )
+    expected, projected = np.empty((sources, DIM)), np.empty((sources, DIM, DIM))
+    degenerate = np.empty(sources, np.bool_)
+    look_at_sources(density, speed, constants, evidence, expected, degenerate, projected)
+    sound = log_likelihoods(
+        projected,
+        expected,
+        degenerate,
+        observed,
+        constants.gates,
+        evidence.innovation,
+        evidence.log_likelihood,
+    )
+    return evidence, sound
+
+
+@part_of_one
 def look_at_sources(
-    mean: FloatArray,
-    covariance: FloatArray,
-    origin: FloatArray,
-    axes: FloatArray,
-    component_type: IntArray,
+    density: Density,
     speed: float,
-    bs: FloatArray,
-    ue_height: float,
-    probability: float,
-    view: float,
+    constants: Constants,
+    evidence: Evidence,
     expected: FloatArray,
-    a: FloatArray,
-    b: FloatArray,
     degenerate: BoolArray,
-    detection: FloatArray,
     projected: FloatArray,
 ) -> None:
     """What would be heard of the BS (source 0) and of the components, and how sure that is.
 
     Args:
-        mean: (4 + 3 C,).
-        covariance: (4 + 3 C, 4 + 3 C).
-        origin: (C, 3) of the components' frames [m].
-        axes: (C, 3, 3).
-        component_type: (C,).
+        density: predicted.
         speed: v [m/s].
-        bs: (3,) [m].
-        ue_height: [m].
-        probability: p_D of what is visible.
-        view: field of view for SPs [m].
+        constants: where the BS is, what is visible.
+        evidence: result: Jacobians and p_D.
         expected: (C + 1, 6) result: h.
-        a: (C + 1, 6, 4) result: dh/ds.
-        b: (C + 1, 6, 3) result: dh/dq, zero for the BS.
         degenerate: (C + 1,) result: nothing can be said.
-        detection: (C + 1,) result: p_D.
         projected: (C + 1, 6, 6) result: covariance of h.
     """
+    mean, covariance, bs = density.mean, density.covariance, constants.bs
+    a, b, detection = evidence.ue_jacobian, evidence.landmark_jacobian, evidence.detection
+    origin, axes, component_type = density.origin, density.axes, density.component_type
+    ue_height = constants.ue_height
     position = bs.copy()
     to_position = np.zeros((3, 3))
     by_position = np.empty((DIM, 3))
@@ -129,7 +150,9 @@ def look_at_sources(
             )
         project_one(by_vehicle[0], by_placement[0], m, covariance, blur)
         spread = math.sqrt(max(blur[0, 0], 0.0))
-        detection[m] = detection_probability(kind, distance, spread, probability, view)
+        detection[m] = detection_probability(
+            kind, distance, spread, constants.probability, constants.sight
+        )
 
 
 @compiled
@@ -175,9 +198,7 @@ def log_likelihoods(
     projected: FloatArray,
     expected: FloatArray,
     degenerate: BoolArray,
-    values: FloatArray,
-    used: BoolArray,
-    noise: FloatArray,
+    observed: Observed,
     gates: FloatArray,
     innovation: FloatArray,
     log_likelihood: FloatArray,
@@ -188,9 +209,7 @@ def log_likelihoods(
         projected: (M, 6, 6) covariance of h.
         expected: (M, 6) h.
         degenerate: (M,) sources of which nothing can be said.
-        values: (J, 6) z.
-        used: (J, 6) components that count.
-        noise: (J, 6, 6) R.
+        observed: J paths.
         gates: (7,) largest squared distance by the number of components.
         innovation: (M, J, 6) result: z - h, azimuths wrapped, zero where it does not count.
         log_likelihood: (M, J) result, -inf outside the gate.
@@ -198,6 +217,8 @@ def log_likelihoods(
     Returns:
         Whether all covariances were positive definite.
     """
+    values, used, noise = observed.values, observed.used, observed.noise
+    sound = True
     s = np.empty((DIM, DIM))
     v = np.empty(DIM)
     places = np.empty(DIM, np.int64)
@@ -225,7 +246,8 @@ def log_likelihoods(
                 for i in range(k + 1):
                     s[k, i] = projected[m, places[k], places[i]] + noise[j, places[k], places[i]]
             if not cholesky(s, count):
-                return False
+                sound = False
+                continue
             forward(s, v, count)
             distance = 0.0
             for k in range(count):
@@ -233,4 +255,4 @@ def log_likelihoods(
             if distance <= gate:
                 constant = count * LOG_2PI + log_determinant(s, count)
                 log_likelihood[m, j] = -0.5 * (distance + constant)
-    return True
+    return sound

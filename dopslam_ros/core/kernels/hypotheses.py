@@ -8,9 +8,27 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
-from dopslam_ros.core.kernels.assignment import insert
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.assignment import insert, k_best
+from dopslam_ros.core.kernels.compiled import compiled, part_of_one
 from dopslam_ros.core.kernels.matching import FREE
+from dopslam_ros.core.kernels.records import (
+    Births,
+    Constants,
+    Density,
+    Evidence,
+    Hypotheses,
+    LocalWeights,
+    Observed,
+)
+
+# A type with less than this share of a detection gets no hypothesis of its own.
+SMALLEST_SHARE = 1e-3
+# At most this many landmarks of open type split an association: 2^4 combinations.
+MOST_SPLITS = 4
+# ln of a weight that is as good as zero but can still be compared: what cannot be missed, or what
+# nothing explains, must still go somewhere.
+LOG_TINY = -700.0
+LOG_SMALLEST = -math.log(SMALLEST_SHARE)
 
 
 @compiled
@@ -26,32 +44,21 @@ def log_of(value: float, least: float) -> float:
     return max(math.log(value), least) if value > 0.0 else least
 
 
-@compiled
+@part_of_one
 def weigh_locally(
-    component_track: IntArray,
-    type_weight: FloatArray,
-    existence: FloatArray,
-    detection: FloatArray,
-    log_likelihood: FloatArray,
-    log_clutter: FloatArray,
-    log_births: FloatArray,
-    least: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Local weights, eqs. (22)-(24) of Ge et al. 2022; the BS exists and is of one type.
+    density: Density,
+    observed: Observed,
+    evidence: Evidence,
+    births: Births,
+    constants: Constants,
+) -> LocalWeights:
+    """Weights of every path-landmark pair, of misdetections and of new landmarks.
 
-    Args:
-        component_track: (C,) track of each component.
-        type_weight: (C,) probabilities of the components' types.
-        existence: (T,) of the tracks.
-        detection: (C + 1,) p_D.
-        log_likelihood: (C + 1, J).
-        log_clutter: (J,) ln c.
-        log_births: (B, J) parts of ln rho.
-        least: no misdetection and no new landmark weighs less.
-
-    Returns:
-        (C + 1, J), (T + 1, J), (T + 1,) and (J,): the fields of LocalWeights.
+    The BS exists and is of one type.
     """
+    component_track, type_weight = density.component_track, density.component_weight
+    existence, detection, least = density.existence, evidence.detection, LOG_TINY
+    log_likelihood, log_births = evidence.log_likelihood, births.log_intensity
     sources, paths = log_likelihood.shape
     source, track = np.empty((sources, paths)), np.empty((len(existence) + 1, paths))
     missed, new = np.zeros(len(track)), np.empty(paths)
@@ -72,11 +79,14 @@ def weigh_locally(
         exists = existence[t - 1] if t > 0 else 1.0
         missed[t] = log_of(1.0 - exists + exists * missed[t], least)
     for j in range(paths):
-        new[j] = log_clutter[j]
+        new[j] = constants.log_clutter
+        for k in range(observed.used.shape[1]):
+            if observed.used[j, k]:
+                new[j] -= constants.log_spans[k]
         for b in range(len(log_births)):
             new[j] = log_add(new[j], log_births[b, j])
         new[j] = max(new[j], least)
-    return source, track, missed, new
+    return LocalWeights(source, track, missed, new)
 
 
 class Choices(NamedTuple):
@@ -117,23 +127,19 @@ def choose(
     source: FloatArray,
     track: FloatArray,
     first: IntArray,
-    most_cost: float,
-    splits: int,
     choices: Choices,
 ) -> None:
-    """Fills in the choices of an association.
+    """Fills in the choices of an association: of few paths, those whose second is the likeliest.
 
     Args:
         columns: (J,) the track of each path, or FREE.
         source: (C + 1, J) as in LocalWeights.
         track: (T + 1, J) as in LocalWeights.
         first: (T + 2,) the sources of track t are first[t] ... first[t + 1] - 1.
-        most_cost: choices less likely than that are left out, except for the likeliest.
-        splits: so many of the paths have a choice, those whose second choice is the likeliest;
-            the others get their first.
         choices: filled in.
     """
-    clear, path, split = np.empty(splits), np.empty(splits, np.int64), np.zeros(1, np.int64)
+    clear, path = np.empty(MOST_SPLITS), np.empty(MOST_SPLITS, np.int64)
+    split = np.zeros(1, np.int64)
     for j in range(len(columns)):
         count = choices.number[j : j + 1]
         count[0] = 0
@@ -145,7 +151,7 @@ def choose(
             continue
         for s in range(first[t + 1] - 1, first[t] - 1, -1):
             insert(choices.cost[j], choices.source[j], count, track[t, j] - source[s, j], s)
-        while count[0] > 1 and not choices.cost[j, count[0] - 1] < most_cost:
+        while count[0] > 1 and not choices.cost[j, count[0] - 1] < LOG_SMALLEST:
             count[0] -= 1
         if count[0] > 1:
             insert(clear, path, split, choices.cost[j, 1], j)
@@ -208,8 +214,6 @@ def split_by_type(
     source: FloatArray,
     track: FloatArray,
     gamma: int,
-    most_cost: float,
-    splits: int,
 ) -> tuple[IntArray, IntArray, FloatArray, float]:
     """The gamma best hypotheses: associations, each as often as its landmarks may differ in type.
 
@@ -220,8 +224,6 @@ def split_by_type(
         source: (C + 1, J) as in LocalWeights.
         track: (T + 1, J) as in LocalWeights.
         gamma: how many at most.
-        most_cost: -ln of the smallest share of a source in its track.
-        splits: most paths of an association that split by source.
 
     Returns:
         (H, J) tracks, (H, J) sources and (H,) normalised weights of the hypotheses, and ln of the
@@ -249,6 +251,32 @@ def split_by_type(
     for a in range(len(costs)):
         if kept.found[0] == gamma and costs[a] >= kept.cost[gamma - 1]:
             break  # splitting only makes it less likely
-        choose(columns[a], source, track, first, most_cost, splits, choices)
+        choose(columns[a], source, track, first, choices)
         keep_best(a, costs[a], choices, kept)
     return normalised(columns, kept)
+
+
+@part_of_one
+def associate(component_track: IntArray, weights: LocalWeights, gamma: int) -> Hypotheses:
+    """The gamma best associations, those with landmarks of open type split by type.
+
+    The cost of giving path j to track i is -ln(w_ij / w_i0), to a new track -ln w_new,j.
+
+    Args:
+        component_track: (C,) track of each component, ascending.
+        weights: of the pairs.
+        gamma: how many at most.
+    """
+    tracks, paths = weights.track.shape
+    cost, missed = np.empty((paths, tracks)), 0.0
+    for t in range(tracks):
+        missed += weights.missed[t]
+        for j in range(paths):
+            cost[j, t] = weights.missed[t] - weights.track[t, j]
+    columns, costs = k_best(cost, -weights.new, gamma)
+    if len(costs) == 0:  # what is not a number cannot be ranked
+        columns, costs, missed = np.full((1, paths), FREE), np.zeros(1), math.nan
+    track, source, weight, log_sum = split_by_type(
+        columns, costs, component_track, weights.source, weights.track, gamma
+    )
+    return Hypotheses(track, source, weight, log_sum + missed)

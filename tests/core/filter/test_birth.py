@@ -12,10 +12,12 @@ from scipy.stats import multivariate_normal, norm
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import DIM, observe, residual
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.filter.birth import Births, initial_incidence_points, propose
+from dopslam_ros.core.filter.birth import propose
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import UNKNOWN_TYPES
 from dopslam_ros.core.filter.undetected import looked_from, nothing_seen
+from dopslam_ros.core.kernels.incidence import incidence_points
+from dopslam_ros.core.kernels.records import Births
 from dopslam_ros.core.measurements import MeasurementSet
 
 SPEED = 22.22
@@ -264,7 +266,9 @@ def test_incidence_points_lie_on_both_rays(name: str) -> None:
         observed = prepare(
             MeasurementSet(without(values, *missing), np.zeros((1, DIM, DIM))), PARAMETERS
         )
-        points, located = initial_incidence_points(STATE.ue_mean, observed, PARAMETERS)
+        points, located = np.empty((1, 3)), np.empty(1, np.bool_)
+        where, height = PARAMETERS.bs, float(PARAMETERS.landmark_height_mean)
+        incidence_points(STATE.ue_mean, 0.0, where, height, observed.values, points, located)
         assert located.all()
         np.testing.assert_allclose(points[0], point, atol=1e-6)
 
@@ -350,7 +354,7 @@ def test_a_noise_that_is_no_covariance_gives_no_birth_and_no_nan() -> None:
     observed = prepare(MeasurementSet(values, np.zeros((1, DIM, DIM))), PARAMETERS)
     noise = observed.noise.copy()
     noise[0, 4, 4] = -1.0
-    births = propose(STATE, replace(observed, noise=noise), SPEED, PARAMETERS)
+    births = propose(STATE, observed._replace(noise=noise), SPEED, PARAMETERS)
     assert (births.log_intensity == -np.inf).all()
     for part in (births.position, births.covariance, births.gain):
         assert np.isfinite(part).all()

@@ -12,10 +12,12 @@ from scipy.stats import chi2, multivariate_normal
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import DIM, observe, residual
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.filter.birth import Births, propose
-from dopslam_ros.core.filter.evidence import gaussian_terms, prepare, weigh
-from dopslam_ros.core.filter.hypotheses import local_weights
+from dopslam_ros.core.filter.birth import propose
+from dopslam_ros.core.filter.evidence import gaussian_terms, prepare
 from dopslam_ros.core.filter.placement import frames, placements, positions
+from dopslam_ros.core.kernels import evidence as kernels
+from dopslam_ros.core.kernels.hypotheses import weigh_locally
+from dopslam_ros.core.kernels.records import Births, Evidence, LocalWeights, Observed
 from dopslam_ros.core.measurements import MeasurementSet
 
 PARAMETERS = FilterParameters(gate_probability=1.0 - 1e-12)
@@ -29,6 +31,26 @@ MASKS = [
     [True, False, False, True, True, False],
     [False, False, False, False, False, True],
 ]
+
+
+def weigh(
+    state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
+) -> Evidence:
+    """The evidence that a step has."""
+    fit, sound = kernels.weigh(state.density, observed, speed, parameters.constants)
+    assert sound
+    return fit
+
+
+def local_weights(
+    state: FilterState,
+    observed: Observed,
+    fit: Evidence,
+    births: Births,
+    parameters: FilterParameters,
+) -> LocalWeights:
+    """The local weights that a step has."""
+    return weigh_locally(state.density, observed, fit, births, parameters.constants)
 
 
 def two_track_state(seed: int = 0) -> FilterState:

@@ -12,12 +12,20 @@ import pytest
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.filter.birth import Births
-from dopslam_ros.core.filter.evidence import Evidence, prepare
-from dopslam_ros.core.filter.hypotheses import LOG_TINY, LocalWeights, associate, local_weights
+from dopslam_ros.core.filter.evidence import prepare
+from dopslam_ros.core.kernels import hypotheses as kernels
+from dopslam_ros.core.kernels.hypotheses import LOG_TINY
+from dopslam_ros.core.kernels.records import Births, Evidence, Hypotheses, LocalWeights
 from dopslam_ros.core.measurements import MeasurementSet
 
 PARAMETERS = FilterParameters(gamma=1000)
+
+
+def associate(
+    state: FilterState, weights: LocalWeights, parameters: FilterParameters
+) -> Hypotheses:
+    """The associations that a step has."""
+    return kernels.associate(state.component_track, weights, parameters.gamma)
 
 
 def state_of(tracks: list[int]) -> FilterState:
@@ -182,7 +190,8 @@ def test_local_weights_of_what_is_sure_or_impossible() -> None:
         np.zeros((2, 2, 3, 4)),
         np.full((2, 2), -np.inf),
     )
-    weights = local_weights(state, observed, fit, none, replace(PARAMETERS, clutter_mean=0.0))
+    constants = replace(PARAMETERS, clutter_mean=0.0).constants
+    weights = kernels.weigh_locally(state.density, observed, fit, none, constants)
     np.testing.assert_array_equal(weights.missed, [LOG_TINY, 0.0, LOG_TINY, 0.0])
     np.testing.assert_array_equal(weights.new, [LOG_TINY, LOG_TINY])
     np.testing.assert_array_equal(weights.source[:, 0], [0.0, -np.inf, 0.0, -np.inf, -np.inf])

@@ -9,12 +9,12 @@ import pytest
 
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state, step
 from dopslam_ros.core.filter import evidence as evidence_module
-from dopslam_ros.core.filter.hypotheses import Hypotheses
 from dopslam_ros.core.filter.known_map import map_of, with_map
-from dopslam_ros.core.filter.localise import localised
 from dopslam_ros.core.filter.state import UE
-from dopslam_ros.core.filter.step import advance, rank
-from dopslam_ros.core.filter.update import condition
+from dopslam_ros.core.filter.step import advance
+from dopslam_ros.core.kernels.localise import consider
+from dopslam_ros.core.kernels.step import rank
+from dopslam_ros.core.kernels.update import condition
 from dopslam_ros.core.motion import ControlSpan
 from dopslam_ros.core.scenario import Scenario, load_scenario
 from dopslam_ros.core.simulator import Snapshot, simulate
@@ -64,7 +64,7 @@ def test_the_update_is_schmidts(learned: FilterState) -> None:
     speed = snapshot.control.speed
     state = advance(with_map(initial_filter_state(KNOWN), learned, KNOWN), [], KNOWN)
     observed = evidence_module.prepare(snapshot.measurements, KNOWN)
-    ranked = rank(state, observed, speed, KNOWN)
+    ranked = rank(state.density, observed, speed, KNOWN.constants)
     best = ranked.hypotheses
     source, fit, n = best.source[:1], ranked.evidence, len(state.mean)
     assert (source >= 0).sum() > 3
@@ -90,9 +90,8 @@ def test_the_update_is_schmidts(learned: FilterState) -> None:
     joseph = rest @ state.covariance @ rest.T + gain @ r @ gain.T
     mean = state.mean + gain @ np.concatenate(innovation)
 
-    one = Hypotheses(best.track[:1], source, np.ones(1), 0.0)
-    updated = condition(state, observed, fit, one)
-    after = localised(state, updated.means, updated.covariances, np.ones(1), KNOWN)
+    updated = condition(state.mean, state.covariance, fit, observed, source)
+    after = consider(state.density, updated, np.ones(1), True)
     np.testing.assert_allclose(after.mean, mean, atol=1e-9)
     np.testing.assert_allclose(after.covariance, joseph, atol=1e-9)
 
@@ -101,21 +100,27 @@ def test_the_merge_over_hypotheses_matches_the_moments(learned: FilterState) -> 
     snapshot = next(simulate(SCENARIO, np.random.default_rng(9)))
     state = advance(with_map(initial_filter_state(KNOWN), learned, KNOWN), [], KNOWN)
     observed = evidence_module.prepare(snapshot.measurements, KNOWN)
-    ranked = rank(state, observed, snapshot.control.speed, KNOWN)
-    means, covariances, _ = condition(state, observed, ranked.evidence, ranked.hypotheses)
-    assert len(means) > 2
-    weight = np.linspace(1.0, 2.0, len(means))
+    ranked = rank(state.density, observed, snapshot.control.speed, KNOWN.constants)
+    source, before = ranked.hypotheses.source, state.density
+    assert len(source) > 2
+    weight = np.linspace(1.0, 2.0, len(source))
     weight /= weight.sum()
+    updated = condition(state.mean, state.covariance, ranked.evidence, observed, source)
     each = [
-        localised(state, means[h : h + 1], covariances[h : h + 1], np.ones(1), KNOWN)
-        for h in range(len(means))
+        consider(
+            before,
+            condition(state.mean, state.covariance, ranked.evidence, observed, source[h : h + 1]),
+            np.ones(1),
+            True,
+        )
+        for h in range(len(source))
     ]
     mean = sum(w * one.mean for w, one in zip(weight, each, strict=True))
     covariance = sum(
         w * (one.covariance + np.outer(one.mean - mean, one.mean - mean))
         for w, one in zip(weight, each, strict=True)
     )
-    merged = localised(state, means, covariances, weight, KNOWN)
+    merged = consider(before, updated, weight, True)
     np.testing.assert_allclose(merged.mean, mean, atol=1e-12)
     np.testing.assert_allclose(merged.covariance, covariance, atol=1e-12)
     assert np.linalg.eigvalsh(merged.covariance).min() > 0.0
@@ -135,7 +140,8 @@ def test_nothing_is_born_and_no_byte_of_the_map_in_view_changes() -> None:
         assert getattr(end, name).tobytes() == getattr(start, name).tobytes(), name
     assert end.mean[UE:].tobytes() == start.mean[UE:].tobytes()
     assert end.covariance[UE:, UE:].tobytes() == start.covariance[UE:, UE:].tobytes()
-    assert end.undetected is start.undetected and end.next_id == start.next_id
+    assert end.undetected.viewpoints.tobytes() == start.undetected.viewpoints.tobytes()
+    assert end.undetected.looks == start.undetected.looks and end.next_id == start.next_id
     assert end.ue_covariance[0, 0] < PARAMETERS.initial_std[0] ** 2
     assert np.abs(end.covariance[:UE, UE:]).max() > 0.0
 

@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.filter import FilterParameters
-from dopslam_ros.core.filter.undetected import (
-    MOST_VIEWPOINTS,
-    Undetected,
-    log_share_left,
-    looked_from,
-    nothing_seen,
-)
+from dopslam_ros.core.filter.undetected import Undetected, looked_from, nothing_seen
+from dopslam_ros.core.kernels.detection import MOST_VIEWPOINTS, log_share_left
 
 PARAMETERS = FilterParameters()
 FLOOR = 1e-3
@@ -28,11 +23,26 @@ def drive(places: np.ndarray, parameters: FilterParameters = PARAMETERS) -> Unde
     return undetected
 
 
-def left(undetected: Undetected, position: list[float], kind: int, floor: float = FLOOR) -> float:
-    share = log_share_left(
-        undetected, np.array([position]), np.array([kind]), np.array([0.1]), PARAMETERS, floor
+def left(
+    undetected: Undetected,
+    position: list[float],
+    kind: int,
+    floor: float = FLOOR,
+    parameters: FilterParameters = PARAMETERS,
+) -> float:
+    log_share = log_share_left(
+        undetected.looks,
+        undetected.viewpoints,
+        undetected.viewpoint_looks,
+        float(parameters.ue_height),
+        np.array(position),
+        kind,
+        0.1,
+        float(parameters.detection_probability),
+        float(parameters.sp_field_of_view),
+        floor,
     )
-    return float(np.exp(share[0]))
+    return math.exp(log_share)
 
 
 def test_nothing_is_thinned_out_before_the_first_snapshot() -> None:
@@ -85,12 +95,6 @@ def test_the_memory_is_bounded_however_long_the_drive() -> None:
 def test_certain_detection_leaves_the_floor_and_no_infinity() -> None:
     parameters = FilterParameters(detection_probability=1.0)
     undetected = looked_from(nothing_seen(), np.zeros(2), parameters)
-    share = log_share_left(
-        undetected,
-        np.array([[5.0, 0.0, 0.0], [5.0, 0.0, 0.0], [80.0, 0.0, 0.0]]),
-        np.array([SP, VA, SP]),
-        np.array([0.1, 0.1, 0.1]),
-        parameters,
-        FLOOR,
-    )
-    np.testing.assert_allclose(share, [math.log(FLOOR), math.log(FLOOR), 0.0], atol=1e-12)
+    for place, kind, share in (([5.0], SP, FLOOR), ([5.0], VA, FLOOR), ([80.0], SP, 1.0)):
+        found = left(undetected, [*place, 0.0, 0.0], kind, parameters=parameters)
+        assert found == pytest.approx(share, rel=1e-12)

@@ -13,22 +13,23 @@ from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.channel import DIM
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.filter.birth import Births
-from dopslam_ros.core.filter.evidence import Evidence, Observed
-from dopslam_ros.core.filter.hypotheses import Hypotheses, LocalWeights
 from dopslam_ros.core.filter.placement import frames
-from dopslam_ros.core.filter.update import (
-    Augmented,
-    Outcomes,
-    augment,
-    condition,
-    judge,
-    merge,
-    newborn,
-    prune,
+from dopslam_ros.core.kernels.merge import judge, merge
+from dopslam_ros.core.kernels.newborn import augment, newborn
+from dopslam_ros.core.kernels.records import (
+    Births,
+    Conditioned,
+    Density,
+    Evidence,
+    Hypotheses,
+    Observed,
+    Updated,
 )
+from dopslam_ros.core.kernels.update import condition
 
 PARAMETERS = FilterParameters()
+# What no hypothesis supports goes all the same.
+UNPRUNED = FilterParameters(prune_existence=0.0, prune_type=0.0)
 
 
 def random_covariance(rng: np.random.Generator, *shape: int) -> FloatArray:
@@ -130,30 +131,57 @@ def test_condition_is_the_linear_kalman_filter(seed: int) -> None:
     used[:, 1] = True
     observed, fit = linear_problem(rng, state, used)
     source = [[0, 3, UNASSIGNED, 2], [UNASSIGNED, 4, 1, 3], [UNASSIGNED] * 4, [0, 1, 3, 4]]
-    ranked = Hypotheses(np.array(source), np.array(source), np.full(4, 0.25), 0.0)
-    means, covariances, nis = condition(state, observed, fit, ranked)
+    updated = condition(state.mean, state.covariance, fit, observed, np.array(source))
+    assert updated.sound
     for row, sources in enumerate(source):
         mean, covariance = kalman(state, observed, fit, sources)
-        np.testing.assert_allclose(means[row], mean, rtol=1e-8, atol=1e-8)
-        np.testing.assert_allclose(covariances[row], covariance, rtol=1e-8, atol=1e-8)
-        assert np.linalg.eigvalsh(covariances[row])[0] > 0.0
-        assert nis[row] == pytest.approx(joint_nis(state, observed, fit, sources), rel=1e-8)
+        found = covariance_under(updated, row)
+        np.testing.assert_allclose(updated.means[row], mean, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(found, covariance, rtol=1e-8, atol=1e-8)
+        assert np.linalg.eigvalsh(found)[0] > 0.0
+        nis = joint_nis(state, observed, fit, sources)
+        assert updated.nis[row] == pytest.approx(nis, rel=1e-8)
+
+
+def covariance_under(updated: Updated, row: int) -> FloatArray:
+    """The covariance that a hypothesis has: less W'W of every branch on its way."""
+    at, covariance = updated.place[row], updated.covariance.copy()
+    for first, last, gain in zip(updated.first, updated.last, updated.gains, strict=True):
+        if first <= at < last:
+            covariance -= gain.T @ gain
+    return covariance
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_hypotheses_share_is_counted_once_each(seed: int) -> None:
+    """Many that differ here and there, more paths than are worked in at a time."""
+    rng = np.random.default_rng(seed)
+    state = state_of(rng, [[1, 2], *([[2]] * 12)])
+    observed, fit = linear_problem(rng, state, rng.random((16, DIM)) < 0.8)
+    best = np.append(rng.permutation(15), UNASSIGNED)[:16]
+    source = np.repeat(best[None], 9, 0)
+    for row in range(1, 9):
+        for path in rng.choice(4 if seed % 2 else 16, 1 + row % 3, replace=False):
+            source[row, path] = UNASSIGNED
+    updated = condition(state.mean, state.covariance, fit, observed, source)
+    for row, sources in enumerate(source.tolist()):
+        mean, covariance = kalman(state, observed, fit, sources)
+        scale = np.sqrt(np.diag(covariance))
+        np.testing.assert_allclose((updated.means[row] - mean) / scale, 0.0, atol=1e-7)
+        difference = (covariance_under(updated, row) - covariance) / np.outer(scale, scale)
+        np.testing.assert_allclose(difference, 0.0, atol=1e-7)
+    assert len(updated.gains) < 9 * 16 / 2
 
 
 def test_condition_with_one_hypothesis_only() -> None:
     rng = np.random.default_rng(30)
     state = state_of(rng, [[2]])
     observed, fit = linear_problem(rng, state, np.ones((2, DIM), dtype=bool))
-    source = np.array([[1, 0]])
-    means, covariances, _ = condition(
-        state,
-        observed,
-        fit,
-        Hypotheses(source, source, np.ones(1), 0.0),
-    )
+    updated = condition(state.mean, state.covariance, fit, observed, np.array([[1, 0]]))
     mean, covariance = kalman(state, observed, fit, [1, 0])
-    np.testing.assert_allclose(means[0], mean, rtol=1e-8)
-    np.testing.assert_allclose(covariances[0], covariance, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(updated.means[0], mean, rtol=1e-8)
+    assert len(updated.gains) == 0
+    np.testing.assert_allclose(updated.covariance, covariance, rtol=1e-8, atol=1e-10)
 
 
 @pytest.mark.parametrize("paths", [0, 2])
@@ -162,46 +190,60 @@ def test_condition_without_any_assignment_is_the_prediction(paths: int) -> None:
     state = state_of(rng, [[2]])
     observed, fit = linear_problem(rng, state, np.ones((paths, DIM), dtype=bool))
     source = np.full((1, paths), UNASSIGNED)
-    means, covariances, _ = condition(
-        state,
-        observed,
-        fit,
-        Hypotheses(source, source, np.ones(1), 0.0),
-    )
-    np.testing.assert_allclose(means[0], state.mean, rtol=1e-12)
-    np.testing.assert_allclose(covariances[0], state.covariance, rtol=1e-12)
+    updated = condition(state.mean, state.covariance, fit, observed, source)
+    np.testing.assert_allclose(updated.means[0], state.mean, rtol=1e-12)
+    np.testing.assert_allclose(updated.covariance, state.covariance, rtol=1e-12)
+    assert updated.nis.tolist() == [0.0]
 
 
-def gaussian(state: FilterState, count: int) -> tuple[FloatArray, FloatArray]:
-    """The prediction under each of some hypotheses."""
-    return np.repeat(state.mean[None], count, 0), np.repeat(state.covariance[None], count, 0)
-
-
-def alone(state: FilterState, paths: int) -> Augmented:
-    """Without births."""
-    return Augmented(state, *gaussian(state, 1), np.full(paths, UNASSIGNED))
+def test_condition_says_where_a_covariance_is_not_positive_definite() -> None:
+    rng = np.random.default_rng(32)
+    state = state_of(rng, [[2]])
+    observed, fit = linear_problem(rng, state, np.ones((1, DIM), dtype=bool))
+    for source in ([[1]], [[1], [0]]):
+        broken = condition(state.mean, -state.covariance, fit, observed, np.array(source))
+        assert not broken.sound
 
 
 def mixture(
     rng: np.random.Generator, tracks: list[list[int]], hypotheses: int
-) -> tuple[Augmented, FloatArray, FloatArray, Hypotheses]:
+) -> tuple[FilterState, Updated, FloatArray, FloatArray]:
+    """A density under each of some hypotheses of random weight, with the covariances (H, n, n).
+
+    Each has a branch of its own.
+    """
     state = state_of(rng, tracks)
     n = len(state.mean)
     means = state.mean + rng.normal(0.0, 1.0, (hypotheses, n))
-    covariances = random_covariance(rng, hypotheses, n)
-    weight = rng.dirichlet(np.ones(hypotheses))
-    none = np.full((hypotheses, 0), UNASSIGNED)
-    augmented = Augmented(state, means, covariances, np.zeros(0, dtype=np.int64))
-    return augmented, means, covariances, Hypotheses(none, none, weight, 0.0)
+    gains = rng.normal(0.0, 0.5, (hypotheses, DIM, n))
+    taken = np.swapaxes(gains, 1, 2) @ gains
+    common = taken.sum(axis=0) + random_covariance(rng, n)
+    place = rng.permutation(hypotheses)
+    updated = Updated(
+        common, means, np.ones(hypotheses), place, place.copy(), place + 1, gains, True
+    )
+    return state, updated, common - taken, rng.dirichlet(np.ones(hypotheses))
+
+
+def merged_of(
+    state: FilterState,
+    updated: Updated,
+    existence: FloatArray,
+    type_weight: FloatArray,
+    weight: FloatArray,
+    parameters: FilterParameters = UNPRUNED,
+) -> Density:
+    none = np.zeros(0, dtype=np.int64)
+    conditioned = Conditioned(state.density, none, updated, existence, type_weight)
+    return merge(weight, conditioned, parameters.constants)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_merge_of_sure_landmarks_has_the_moments_of_the_mixture(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    augmented, means, covariances, ranked = mixture(rng, [[1], [2]], 4)
-    sure = Outcomes(np.ones((4, 2)), np.ones((4, 2)))
-    merged = merge(augmented, sure, ranked, PARAMETERS)
-    w = ranked.weight
+    state, updated, covariances, w = mixture(rng, [[1], [2]], 4)
+    merged = merged_of(state, updated, np.ones((4, 2)), np.ones((4, 2)), w)
+    means = updated.means
     mean = w @ means
     second = sum(w[h] * (covariances[h] + np.outer(means[h], means[h])) for h in range(4))
     np.testing.assert_allclose(merged.mean, mean)
@@ -211,10 +253,10 @@ def test_merge_of_sure_landmarks_has_the_moments_of_the_mixture(seed: int) -> No
 
 def test_merge_against_sampling() -> None:
     rng = np.random.default_rng(9)
-    augmented, means, covariances, ranked = mixture(rng, [[2]], 3)
-    sure = Outcomes(np.ones((3, 1)), np.ones((3, 1)))
-    merged = merge(augmented, sure, ranked, PARAMETERS)
-    which = rng.choice(3, 60_000, p=ranked.weight)
+    state, updated, covariances, weight = mixture(rng, [[2]], 3)
+    merged = merged_of(state, updated, np.ones((3, 1)), np.ones((3, 1)), weight)
+    means = updated.means
+    which = rng.choice(3, 60_000, p=weight)
     roots = np.linalg.cholesky(covariances)
     noise = rng.normal(size=(60_000, 7))
     drawn = means[which] + np.einsum("sij,sj->si", roots[which], noise)
@@ -229,18 +271,19 @@ def test_merge_against_sampling() -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_merge_weights_every_component_by_what_supports_it(seed: int, coupling: str) -> None:
     rng = np.random.default_rng(seed)
-    augmented, means, covariances, ranked = mixture(rng, [[1, 2], [2], [1]], 5)
+    state, updated, covariances, w = mixture(rng, [[1, 2], [2], [1]], 5)
+    means = updated.means
     existence = rng.random((5, 3))
     existence[rng.random((5, 3)) < 0.3] = 0.0
     share = rng.random(5)
-    outcomes = Outcomes(existence, np.stack([share, 1.0 - share, np.ones(5), np.ones(5)], 1))
-    parameters = replace(PARAMETERS, coupling=coupling)
-    merged = merge(augmented, outcomes, ranked, parameters)
+    existence[int(rng.integers(5))] = 1.0  # each is supported by one at least
+    types = np.stack([share, 1.0 - share, np.ones(5), np.ones(5)], 1)
+    parameters = replace(UNPRUNED, coupling=coupling)
+    merged = merged_of(state, updated, existence, types, w, parameters)
 
-    w = ranked.weight
-    owner = augmented.state.component_track
+    owner = state.component_track
     blocks = [slice(0, 4), *(slice(4 + 3 * c, 7 + 3 * c) for c in range(4))]
-    support = [w, *(w * existence[:, owner[c]] * outcomes.type_weight[:, c] for c in range(4))]
+    support = [w, *(w * existence[:, owner[c]] * types[:, c] for c in range(4))]
     for block, weights in zip(blocks, support, strict=True):
         if weights.sum() == 0.0:
             continue
@@ -274,24 +317,14 @@ def test_judge_follows_bayes() -> None:
         existence=np.array([0.6, 0.9]),
         component_weight=np.array([0.7, 0.3, 1.0]),
     )
-    _, fit = linear_problem(rng, state, np.ones((2, DIM), dtype=bool))
-    fit = replace(fit, detection=np.array([0.9, 0.9, 0.5, 0.8]))
-    track = np.array([[1, UNASSIGNED], [2, 0], [UNASSIGNED, UNASSIGNED]])
+    detection = np.array([0.9, 0.9, 0.5, 0.8])
     source = np.array([[2, UNASSIGNED], [3, 0], [UNASSIGNED, UNASSIGNED]])
-    outcomes = judge(
-        alone(state, 2),
-        fit,
-        Hypotheses(track, source, np.full(3, 1 / 3), 0.0),
-    )
+    existence, types = judge(state.density, detection, np.full(2, UNASSIGNED), source)
     q = 0.7 * 0.1 + 0.3 * 0.5
     missed = np.array([0.6 * q / (0.4 + 0.6 * q), 0.9 * 0.2 / (0.1 + 0.9 * 0.2)])
-    np.testing.assert_allclose(
-        outcomes.existence, [[1.0, missed[1]], [missed[0], 1.0], missed], rtol=1e-12
-    )
+    np.testing.assert_allclose(existence, [[1.0, missed[1]], [missed[0], 1.0], missed], rtol=1e-12)
     left = np.array([0.7 * 0.1, 0.3 * 0.5]) / q
-    np.testing.assert_allclose(
-        outcomes.type_weight, [[0.0, 1.0, 1.0], [*left, 1.0], [*left, 1.0]], rtol=1e-12
-    )
+    np.testing.assert_allclose(types, [[0.0, 1.0, 1.0], [*left, 1.0], [*left, 1.0]], rtol=1e-12)
 
 
 def births_of(rng: np.random.Generator, log_intensity: FloatArray) -> Births:
@@ -309,13 +342,12 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     state = state_of(rng, [[1]])
     births = births_of(rng, np.log([[3e-9, 1e-30, 1e-9], [1e-9, 1e-30, 1e-30]]))
     new = np.log([8e-9, 5e-9, 2e-9])
-    weights = LocalWeights(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2), new)
     track = np.array([[UNASSIGNED, UNASSIGNED, UNASSIGNED], [UNASSIGNED, 0, 1]])
     ranked = Hypotheses(track, track, np.array([0.4, 0.6]), 0.0)
-    born = newborn(births, weights, ranked, PARAMETERS)
-    augmented = augment(state, *gaussian(state, len(track)), births, born, born.kept, PARAMETERS)
-    after = augmented.state
-    assert augmented.birth_track.tolist() == [1, UNASSIGNED, 2]
+    born = newborn(births.log_intensity, new, ranked, PARAMETERS.prune_existence)
+    density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
+    after = FilterState.of(density, state.asleep)
+    assert birth_track.tolist() == [1, UNASSIGNED, 2]
     assert after.track_id.tolist() == [1, 2, 3] and after.next_id == 4
     np.testing.assert_allclose(after.existence, [0.9, 0.5, 0.5])  # rho / (c + rho)
     assert after.component_type.tolist() == [1, 1, 2, 1]
@@ -354,24 +386,37 @@ def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
     rng = np.random.default_rng(12)
     state = state_of(rng, [[1]])
     births = births_of(rng, np.log([[1e-9, 1e-9], [1e-30, 1e-30]]))
-    weights = LocalWeights(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), np.log([4e-9, 4e-9]))
+    new = np.log([4e-9, 4e-9])
     track = np.array([[UNASSIGNED, UNASSIGNED], [1, UNASSIGNED]])
     ranked = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
-    born = newborn(births, weights, ranked, PARAMETERS)
-    augmented = augment(state, *gaussian(state, len(track)), births, born, born.kept, PARAMETERS)
-    _, fit = linear_problem(rng, state, np.ones((2, DIM), dtype=bool))
-    outcomes = judge(augmented, fit, ranked)
-    np.testing.assert_allclose(outcomes.existence[:, 1:], [[0.25, 0.25], [0.0, 0.25]])
+    born = newborn(births.log_intensity, new, ranked, PARAMETERS.prune_existence)
+    density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
+    existence, _ = judge(density, np.full(2, 0.9), birth_track, track)
+    np.testing.assert_allclose(existence[:, 1:], [[0.25, 0.25], [0.0, 0.25]])
 
 
-def test_prune_drops_tracks_and_types_and_keeps_the_rest_in_order() -> None:
-    rng = np.random.default_rng(5)
-    state = replace(
-        state_of(rng, [[1, 2], [2], [1, 2]]),
-        existence=np.array([0.9, 1e-6, 0.5]),
-        component_weight=np.array([0.4, 0.6, 1.0, 1.0 - 1e-4, 1e-4]),
+def alone(state: FilterState, share: FloatArray, existence: FloatArray) -> Density:
+    """What is kept where there is one hypothesis, with the defaults."""
+    n = len(state.mean)
+    none = np.zeros(0, dtype=np.int64)
+    updated = Updated(
+        state.covariance,
+        state.mean[None],
+        np.zeros(1),
+        np.zeros(1, np.int64),
+        none,
+        none,
+        np.zeros((0, DIM, n)),
+        True,
     )
-    kept = prune(state, PARAMETERS)
+    return merged_of(state, updated, existence[None], share[None], np.ones(1), PARAMETERS)
+
+
+def test_unlikely_tracks_and_types_go_and_the_rest_stays_in_order() -> None:
+    rng = np.random.default_rng(5)
+    state = state_of(rng, [[1, 2], [2], [1, 2]])
+    share = np.array([0.4, 0.6, 1.0, 1.0 - 1e-4, 1e-4])
+    kept = alone(state, share, np.array([0.9, 1e-6, 0.5]))
     assert kept.track_id.tolist() == [1, 3]
     assert kept.component_track.tolist() == [0, 0, 1]
     assert kept.component_type.tolist() == [1, 2, 1]
@@ -379,10 +424,12 @@ def test_prune_drops_tracks_and_types_and_keeps_the_rest_in_order() -> None:
     index = [*range(10), 13, 14, 15]
     np.testing.assert_array_equal(kept.mean, state.mean[index])
     np.testing.assert_array_equal(kept.covariance, state.covariance[np.ix_(index, index)])
+    np.testing.assert_array_equal(kept.axes, state.axes[[0, 1, 3]])
+    np.testing.assert_array_equal(kept.origin, state.origin[[0, 1, 3]])
 
 
-def test_prune_may_drop_everything() -> None:
-    state = replace(state_of(np.random.default_rng(1), [[1], [2]]), existence=np.zeros(2))
-    kept = prune(state, PARAMETERS)
+def test_everything_may_go() -> None:
+    state = state_of(np.random.default_rng(1), [[1], [2]])
+    kept = alone(state, np.ones(2), np.zeros(2))
     assert len(kept.track_id) == len(kept.component_track) == 0
     np.testing.assert_array_equal(kept.mean, state.mean[:4])
