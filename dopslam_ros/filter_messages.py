@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from dopslam_ros import topics
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter import LandmarkEstimates
 from dopslam_ros.core.parameters import parameter
+from dopslam_ros.core.quantiles import chi_square
 from dopslam_ros.core.session import FilterOutput
 from dopslam_ros.messages import (
     BS_ID,
@@ -31,7 +31,7 @@ from dopslam_ros.messages import (
 
 # The ellipsoids that are drawn hold the landmark with this probability.
 ELLIPSOID_PROBABILITY = 0.95
-_STDS = math.sqrt(float(chi2.ppf(ELLIPSOID_PROBABILITY, 3)))
+_STDS = math.sqrt(float(chi_square(ELLIPSOID_PROBABILITY, 3)))
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 COLOURS = {
     LandmarkType.BS: (0.1, 0.1, 0.1),

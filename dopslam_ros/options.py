@@ -10,17 +10,15 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from tqdm import tqdm
 
-from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import ParameterError, checked_values, parse_assignment
-from dopslam_ros.core.scenario import builtin_scenarios
 from dopslam_ros.files import json_text
+from dopslam_ros.scenarios import builtin_scenarios
 
 T = TypeVar("T")
 
@@ -38,6 +36,25 @@ def add_scenario(parser: argparse.ArgumentParser, default: str) -> None:
     )
     # What a shell completes it to.
     vars(scenario)["completer"] = lambda **_: builtin_scenarios()
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """``--seed`` of one run."""
+    parser.add_argument("--seed", type=whole_from_zero, help="of the run (default: the scenario's)")
+
+
+def add_runs(parser: argparse.ArgumentParser, default: int) -> None:
+    """``--runs``, and ``--seed`` of all of them."""
+    parser.add_argument(
+        "--runs", type=whole_from_one, default=default, help=f"of each (default: {default})"
+    )
+    parser.add_argument("--seed", type=whole_from_zero, default=1, help="of all (default: 1)")
+
+
+def add_list(parser: argparse.ArgumentParser, title: str, texts: Mapping[str, str]) -> None:
+    """Names and what they mean, below the options."""
+    lines = [f"  {name:16}{text}" for name, text in texts.items()]
+    parser.epilog = "\n".join([f"{title}:", *lines, "", str(parser.epilog)])
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
@@ -139,6 +156,8 @@ def read_settings(options: Any) -> dict[str, Any]:
         except ParameterError as error:
             raise UsageError(f"--param {error}") from error
         values[name] = value
+    from dopslam_ros.core.filter import FilterParameters  # with all that is compiled
+
     return checked_values(FilterParameters, values)
 
 
@@ -164,6 +183,8 @@ def with_progress(
 
     With ``stop`` they end at Ctrl-C.
     """
+    from tqdm import tqdm
+
     hidden = not sys.stderr.isatty()
     shown: Iterable[T] = tqdm(items, total=total, initial=done, desc=description, disable=hidden)
     return shown if stop is None else stop(shown)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import math
 import time
@@ -23,7 +22,7 @@ from dopslam_ros.core.arrays import wrap_angle
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.refusal import Refused
 from dopslam_ros.messages import read_map, read_message, read_ue_state
-from dopslam_ros.options import UsageError, positive_number
+from dopslam_ros.options import UsageError
 
 WATCHED = (
     topics.CHANNEL_MEASUREMENTS,
@@ -179,23 +178,6 @@ def _health(board: Board) -> Table:
 
 
 # --- the command ---------------------------------------------------------------------------------
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of ``dopslam watch``."""
-    parser.add_argument("bag", type=Path, nargs="?", help="a recorded run (default: the live one)")
-    parser.add_argument("--namespace", default="", metavar="NS", help="of the vehicle, as /car1")
-    parser.add_argument(
-        "--rate", type=positive_number, default=1.0, help="times as fast as recorded (default: 1)"
-    )
-    parser.add_argument("--once", action="store_true", help="one frame: the end of a bag, or now")
-    parser.add_argument(
-        "--patience",
-        type=positive_number,
-        default=10.0,
-        metavar="S",
-        help="seconds that --once waits for a live state (default: 10)",
-    )
 
 
 def run(options: Any, console: Console | None = None) -> int:

@@ -13,7 +13,7 @@ import yaml
 
 from dopslam_ros import topics
 from dopslam_ros.bag import BagReader, BagWriter
-from dopslam_ros.cli import EXAMPLES, main
+from dopslam_ros.cli import COMMANDS, main
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import to_mapping
 from dopslam_ros.published import published
@@ -54,20 +54,21 @@ def complaint(capsys: Capture) -> str:
 # --- help and errors -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("command", sorted(EXAMPLES))
+@pytest.mark.parametrize("command", sorted(COMMANDS))
 def test_help_has_an_example(capsys: Capture, command: str) -> None:
     """Each command explains itself, with an example that its own parser takes."""
     assert run(command, "--help") == 0
     text = capsys.readouterr().out
     assert f"usage: dopslam {command}" in text
-    assert EXAMPLES[command] in text and EXAMPLES[command].startswith(f"dopslam {command} ")
+    example = COMMANDS[command].EXAMPLE
+    assert example in text and example.startswith(f"dopslam {command} ")
 
 
 def test_help_lists_the_commands(capsys: Capture) -> None:
     """`dopslam --help` names every command; each of them has an example."""
     assert run("--help") == 0
     text = capsys.readouterr().out
-    for command in EXAMPLES:
+    for command in COMMANDS:
         assert f"\n    {command}" in text
     assert run() == 2
 

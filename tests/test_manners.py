@@ -15,18 +15,22 @@ import pytest
 
 from dopslam_ros import topics
 from dopslam_ros.bag import BagReader
-from dopslam_ros.cli import EXAMPLES, TALKERS, _parser, main
-from dopslam_ros.core.scenario import builtin_scenarios
+from dopslam_ros.bench.suite import BENCHMARKS
+from dopslam_ros.bench.titles import TITLES
+from dopslam_ros.cli import COMMANDS, TALKERS, _parser, main
 from dopslam_ros.options import Stop
+from dopslam_ros.scenarios import builtin_scenarios
+from dopslam_ros.study.estimators import KINDS
+from dopslam_ros.study.names import FILTERS
 
 pytestmark = pytest.mark.once
 Capture = pytest.CaptureFixture[str]
 
 
-@pytest.mark.parametrize("command", sorted(EXAMPLES))
+@pytest.mark.parametrize("command", sorted(COMMANDS))
 def test_examples_are_understood(command: str) -> None:
     """The parser takes every example as it stands."""
-    words = shlex.split(EXAMPLES[command].partition(" > ")[0])
+    words = shlex.split(COMMANDS[command].EXAMPLE.partition(" > ")[0])
     assert words[:2] == ["dopslam", command]
     assert callable(_parser().parse_args(words[1:]).run)
 
@@ -78,7 +82,7 @@ def test_quiet(tmp_path: Path, scene: Path, capfd: pytest.CaptureFixture[str]) -
     assert main([*asked, "-q"]) == 1
     out, err = capfd.readouterr()
     assert out == "" and "exists already" in err and err.count("\n") == 1
-    for command in set(EXAMPLES) - set(TALKERS):
+    for command in set(COMMANDS) - set(TALKERS):
         with pytest.raises(SystemExit):
             main([command, "--help"])
         assert "--quiet" in capfd.readouterr().out, command
@@ -105,6 +109,30 @@ def test_completion(tmp_path: Path) -> None:
     assert {"replay", "report", "recover"} <= set(completions("dopslam re", tmp_path))
     assert "--json" in completions("dopslam replay --js", tmp_path)
     assert set(completions("dopslam simulate --scenario ", tmp_path)) >= set(builtin_scenarios())
+
+
+HEAVY = {"matplotlib", "numba", "numpy", "plotly", "rclpy", "rich", "rosbags", "scipy", "tqdm"}
+
+
+@pytest.mark.parametrize(
+    ("start", "left_out"),
+    [
+        ("import dopslam_ros.cli as cli; cli._parser()", HEAVY),
+        ("import dopslam_ros.nodes.filter", {"matplotlib", "plotly", "rich", "scipy.stats"}),
+    ],
+    ids=["help and completion", "a node"],
+)
+def test_nobody_waits_for_what_is_not_used(start: str, left_out: set[str]) -> None:
+    """Compilers, ROS and libraries that draw are imported by what needs them alone."""
+    code = f"{start}\nimport sys\nprint(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert not left_out & set(done.stdout.split())
+
+
+def test_what_help_lists_is_there() -> None:
+    """The names in help are those of what is imported later."""
+    assert list(FILTERS) == list(KINDS)
+    assert list(TITLES) == list(BENCHMARKS)
 
 
 def test_ctrl_c_ends_a_loop_after_its_item() -> None:

@@ -16,7 +16,7 @@ from docutils.parsers.rst import Directive
 from docutils.statemachine import StringList
 
 from dopslam_ros import topics
-from dopslam_ros.cli import NODES
+from dopslam_ros.commands.parameters import NODES
 from dopslam_ros.core.parameters import Declaration, declarations
 
 ROOT = Path(__file__).resolve().parents[2]

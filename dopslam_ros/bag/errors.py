@@ -1,7 +1,7 @@
 """What can go wrong with a bag, as one tree of exceptions."""
 
 
-class BagError(Exception):
+class BagError(RuntimeError):
     """Root of everything this package raises on purpose."""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
@@ -12,10 +11,11 @@ from typing import Any, NamedTuple
 
 from dopslam_ros.bench.machine import machine
 from dopslam_ros.bench.records import Measured, Record, content_of, read_record
-from dopslam_ros.bench.suite import BENCHMARKS, measure
+from dopslam_ros.bench.suite import measure
 from dopslam_ros.bench.table import markdown, text_table
+from dopslam_ros.bench.titles import TITLES
 from dopslam_ros.core.parameters import unknown_name
-from dopslam_ros.options import UsageError, add_json, write_json
+from dopslam_ros.options import UsageError, write_json
 
 
 class Result(NamedTuple):
@@ -32,29 +32,6 @@ class Result(NamedTuple):
     records: list[Record]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of ``dopslam bench``."""
-    parser.add_argument(
-        "--only", nargs="+", metavar="NAME", help="these benchmarks alone (default: all)"
-    )
-    parser.add_argument(
-        "--quick", action="store_true", help="few repetitions: rough figures within minutes"
-    )
-    parser.add_argument(
-        "--from",
-        dest="source",
-        type=Path,
-        metavar="F",
-        help="measure nothing, show what --json wrote into this file",
-    )
-    parser.add_argument(
-        "--markdown", type=Path, metavar="F", help="file for the result as a document"
-    )
-    add_json(parser)
-    lines = [f"  {name:12}{benchmark.title}" for name, benchmark in BENCHMARKS.items()]
-    parser.epilog = "\n".join(["benchmarks:", *lines, "", str(parser.epilog)])
-
-
 def run(options: Any) -> int:
     """Measures, or reads what was measured; returns 1 if a benchmark failed.
 
@@ -67,10 +44,10 @@ def run(options: Any) -> int:
             raise UsageError("--from measures nothing: give no --only, --quick or --json with it")
         _show(read_result(options.source), options)
         return 0
-    names = options.only or list(BENCHMARKS)
+    names = options.only or list(TITLES)
     for name in names:
-        if name not in BENCHMARKS:
-            raise UsageError(unknown_name("benchmark", name, list(BENCHMARKS)))
+        if name not in TITLES:
+            raise UsageError(unknown_name("benchmark", name, list(TITLES)))
     result = Result(machine(), options.quick, [])
     failed = False
     try:
@@ -82,7 +59,7 @@ def run(options: Any) -> int:
             except Exception as error:  # does not take the others with it
                 failed = True
                 note = f"failed: {type(error).__name__}: {error}"
-                result.records.append(Record(name, BENCHMARKS[name].title, Measured(notes=(note,))))
+                result.records.append(Record(name, TITLES[name], Measured(notes=(note,))))
             _say(f" {time.perf_counter() - started:.1f} s\n")
     except KeyboardInterrupt:
         _say(" stopped\n")

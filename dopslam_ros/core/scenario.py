@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,12 +22,13 @@ from dopslam_ros.core.parameters import (
     to_mapping,
     unknown_name,
 )
+from dopslam_ros.scenarios import builtin_scenarios, builtin_text
 
 # The first snapshot of a simulation; not zero, because zero means "no time" in ROS.
 START_NS = 1_000_000_000
 
 
-class ScenarioError(ValueError):
+class ScenarioError(ParameterError):
     """A scenario file cannot be used; the message says where and why."""
 
 
@@ -92,13 +92,6 @@ class Scenario(ModelParameters):
         return np.isin(np.arange(1 + len(self.landmark_types)), sources)
 
 
-def builtin_scenarios() -> list[str]:
-    """Names of the scenes that come with the package."""
-    folder = resources.files("dopslam_ros") / "scenarios"
-    files = (file.name for file in folder.iterdir())
-    return sorted(name.removesuffix(".yaml") for name in files if name.endswith(".yaml"))
-
-
 def load_scenario(source: str | Path) -> Scenario:
     """Reads a scene from a YAML file, or one that comes with the package by its name.
 
@@ -112,7 +105,7 @@ def load_scenario(source: str | Path) -> Scenario:
         except (OSError, UnicodeDecodeError) as error:
             raise ScenarioError(f"scenario file '{path}' cannot be read: {error}") from error
     elif str(source) in builtin_scenarios():
-        text = (resources.files("dopslam_ros") / "scenarios" / f"{source}.yaml").read_text("utf-8")
+        text = builtin_text(str(source))
     else:
         hint = unknown_name("scenario", str(source), builtin_scenarios())
         raise ScenarioError(f"{hint} (or give the path of a .yaml file)")
@@ -120,7 +113,7 @@ def load_scenario(source: str | Path) -> Scenario:
         return parse_scenario(_with_base(yaml.safe_load(text)))
     except yaml.YAMLError as error:
         raise ScenarioError(f"scenario '{source}' is not YAML: {error}") from error
-    except (ScenarioError, ParameterError) as error:
+    except ParameterError as error:
         raise ScenarioError(f"scenario '{source}': {error}") from error
 
 
@@ -131,9 +124,8 @@ def _with_base(content: Any) -> Any:
     base = str(content["base"])
     if base not in builtin_scenarios():
         raise ScenarioError(unknown_name("base scenario", base, builtin_scenarios()))
-    text = (resources.files("dopslam_ros") / "scenarios" / f"{base}.yaml").read_text("utf-8")
     own = {key: value for key, value in content.items() if key != "base"}
-    return {**_with_base(yaml.safe_load(text)), **own}
+    return {**_with_base(yaml.safe_load(builtin_text(base))), **own}
 
 
 def parse_scenario(content: object) -> Scenario:

@@ -11,11 +11,11 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.metrics import Rmse
 from dopslam_ros.core.model import with_doppler_std
+from dopslam_ros.core.quantiles import chi_square
 from dopslam_ros.core.scenario import Scenario, load_scenario, scenario_content
 from dopslam_ros.core.study import nominal_bounds
 from dopslam_ros.published import Published, PublishedBounds, published
@@ -115,7 +115,7 @@ def mean_square_band(runs: int, dimension: int) -> Band:
         dimension: of the Gaussian error e; the sum over runs is chi-square with their product.
     """
     tail = (1.0 - PROBABILITY) / 2.0
-    low, high = chi2.ppf([tail, 1.0 - tail], dimension * runs) / runs
+    low, high = chi_square([tail, 1.0 - tail], dimension * runs) / runs
     return Band(float(low), float(high))
 
 

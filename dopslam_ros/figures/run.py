@@ -9,11 +9,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
-from scipy.stats import chi2
 
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.metrics import state_errors
+from dopslam_ros.core.quantiles import chi_square
 from dopslam_ros.figures.style import BOUND, ESTIMATE, TRUTH
 from dopslam_ros.filter_messages import COLOURS, ELLIPSOID_PROBABILITY
 from dopslam_ros.replay import Replay
@@ -113,7 +113,7 @@ def _ellipse(center: FloatArray, covariance: FloatArray, colour: object) -> Elli
     """The region that holds the point with ELLIPSOID_PROBABILITY, from above, MAGNIFIED."""
     variances, axes = np.linalg.eigh(covariance)
     size = (
-        MAGNIFIED * 2.0 * np.sqrt(np.maximum(variances, 0.0) * chi2.ppf(ELLIPSOID_PROBABILITY, 2))
+        MAGNIFIED * 2.0 * np.sqrt(np.maximum(variances, 0.0) * chi_square(ELLIPSOID_PROBABILITY, 2))
     )
     angle = math.degrees(math.atan2(axes[1, 1], axes[0, 1]))
     return Ellipse(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from dopslam_ros.bag import BagReader
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.warmup import warm_up_filter
 from dopslam_ros.files import write_whole
-from dopslam_ros.options import add_json, add_settings, read_settings, with_progress, write_json
+from dopslam_ros.options import read_settings, with_progress, write_json
 from dopslam_ros.replay import replay
 from dopslam_ros.report.cases import parse_case, run_cases
 from dopslam_ros.report.compare_page import compare_page, comparison_cells, remarks
@@ -20,15 +19,6 @@ from dopslam_ros.report.page import plotting_library
 from dopslam_ros.report.recorded import last_reports
 from dopslam_ros.report.run_page import run_page
 from dopslam_ros.study.table import aligned
-
-
-def add_report_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
-    parser.add_argument("bag", type=Path, help="folder of a bag, or an .mcap file")
-    parser.add_argument(
-        "--out", type=Path, metavar="F", help="the page (default: the bag's name with .html)"
-    )
-    add_settings(parser)
 
 
 def report(options: Any) -> int:
@@ -44,26 +34,6 @@ def report(options: Any) -> int:
     if run.damage:
         print(f"damaged bag: {run.damage}")
     return 0
-
-
-def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
-    parser.add_argument(
-        "cases",
-        nargs="+",
-        metavar="CASE",
-        help="[NAME=]BAG[:SETTING=VALUE,...]; the others are compared with the first",
-    )
-    parser.add_argument("--out", type=Path, metavar="F", help="a page (.html) with the curves")
-    add_settings(parser)
-    add_json(parser)
-    parser.epilog = f"""\
-BAG is a bag, or a folder of bags: a run each. It is filtered as it was recorded, or with
-settings of its own: parameters of the filter, and doppler=M/S or doppler=none. What has
-the same NAME are runs of one case.
-
-{parser.epilog}
-  dopslam compare joint=runs/sims paper=runs/sims:coupling=marginal"""
 
 
 def compare(options: Any) -> int:

@@ -8,9 +8,9 @@ from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
+from dopslam_ros.core.quantiles import student_t
 from dopslam_ros.replay import Replay
 from dopslam_ros.report.cases import Case
 from dopslam_ros.report.series import SIZES, Series, series_of
@@ -188,5 +188,5 @@ def _mean_and_reach(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     mean = values.mean(axis=0)
     if count < 2:
         return mean, np.full(mean.shape, np.nan)
-    quantile = float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, count - 1))
+    quantile = student_t(0.5 + CONFIDENCE / 2.0, count - 1)
     return mean, quantile * values.std(axis=0, ddof=1) / math.sqrt(count)

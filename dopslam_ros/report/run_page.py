@@ -7,11 +7,11 @@ from collections.abc import Iterable
 from html import escape
 
 import numpy as np
-from scipy.stats import chi2
 
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.evaluation import summarise
 from dopslam_ros.core.parameters import declarations
+from dopslam_ros.core.quantiles import chi_square
 from dopslam_ros.filter_messages import ELLIPSOID_PROBABILITY
 from dopslam_ros.replay import Replay
 from dopslam_ros.report.charts import SOURCE_COLOURS, Section, sections
@@ -61,7 +61,7 @@ def run_page(run: Replay, name: str, recorded: Reports) -> str:
             {"name": NAMES[s], "colour": SOURCE_COLOURS[s], "dash": RAYS.get(s, "solid")}
             for s in Source
         ],
-        "deviations": math.sqrt(float(chi2.ppf(ELLIPSOID_PROBABILITY, 2))),
+        "deviations": math.sqrt(float(chi_square(ELLIPSOID_PROBABILITY, 2))),
         "magnified": magnified,
     }
     charts = [chart for one in shown if has_truth or not one.needs_truth for chart in one.charts]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
-from scipy.stats import chi2
 
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.evaluation import StepRecord
+from dopslam_ros.core.quantiles import chi_square
 from dopslam_ros.core.session import FilterOutput
 from dopslam_ros.replay import Replay
 
@@ -112,7 +112,7 @@ def _consistency(outputs: Sequence[FilterOutput], records: Sequence[StepRecord])
 def band(freedom: float | FloatArray) -> tuple[FloatArray, FloatArray]:
     """The ends of the interval that holds a chi-square with CONFIDENCE."""
     tail = (1.0 - CONFIDENCE) / 2.0
-    return np.asarray(chi2.ppf(tail, freedom)), np.asarray(chi2.ppf(1.0 - tail, freedom))
+    return chi_square(tail, freedom), chi_square(1.0 - tail, freedom)
 
 
 def _weights(outputs: Sequence[FilterOutput]) -> Series:

@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Generator, Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from dopslam_ros.core.channel import DOPPLER
 from dopslam_ros.core.scenario import load_scenario
-from dopslam_ros.options import (
-    UsageError,
-    add_json,
-    add_scenario,
-    add_settings,
-    positive_number,
-    read_settings,
-    whole_from_one,
-    whole_from_zero,
-    with_progress,
-    write_json,
-)
-from dopslam_ros.study.estimators import KINDS
+from dopslam_ros.options import UsageError, read_settings, with_progress, write_json
 from dopslam_ros.study.executors import blas_is_limited, run_local, run_on_dask
 from dopslam_ros.study.folder import open_folder
 from dopslam_ros.study.outputs import FAILURES, timing, write_failures, write_outputs
@@ -37,39 +23,6 @@ from dopslam_ros.study.table import study_table
 
 # Failures told one by one; the rest is in the folder.
 MOST_TOLD = 5
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of ``dopslam study``."""
-    add_scenario(parser, "paper")
-    parser.add_argument(
-        "--filters",
-        nargs="+",
-        default=["joint"],
-        metavar="FILTER",
-        help=f"{', '.join(KINDS)}; also with settings of its own, as joint:gamma=20,prune_type=0.01"
-        " (default: joint); the others are compared with the first",
-    )
-    parser.add_argument(
-        "--doppler",
-        nargs="+",
-        type=_doppler,
-        metavar="M/S",
-        help="standard deviations of the Doppler [m/s], none for without (default: the scene's)",
-    )
-    parser.add_argument("--runs", type=whole_from_one, default=100, help="how many (default: 100)")
-    parser.add_argument("--seed", type=whole_from_zero, default=1, help="of the study (default: 1)")
-    parser.add_argument(
-        "--out", type=Path, help="folder of the study; if it is there already, to go on with"
-    )
-    parser.add_argument("--workers", type=whole_from_one, help="processes (default: one a core)")
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="compute on this Dask cluster: tcp://host:port"
-    )
-    add_settings(parser)
-    add_json(parser)
-    lines = [f"  {name:16}{kind.text}" for name, kind in KINDS.items()]
-    parser.epilog = "\n".join(["filters:", *lines, "", str(parser.epilog)])
 
 
 def run(options: Any) -> int:
@@ -170,7 +123,3 @@ def _finish(collection: Collection, options: Any, failed: list[Outcome]) -> None
 
 def _say(text: str) -> None:
     tqdm.write(f"dopslam: {text}", file=sys.stderr)
-
-
-def _doppler(text: str) -> float | None:
-    return None if text == "none" else positive_number(text)

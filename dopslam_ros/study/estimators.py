@@ -66,15 +66,13 @@ class EstimatorError(RuntimeError):
 
 
 class Kind(NamedTuple):
-    """A filter that can be studied.
+    """A filter that can be studied, one of ``names.FILTERS``.
 
     Attributes:
-        text: what it is, in a line.
         fixed: the settings that make it what its name says.
         make: from the scene and the filter's parameters.
     """
 
-    text: str
     fixed: Mapping[str, object]
     make: Callable[[Scenario, FilterParameters], Estimator]
 
@@ -297,21 +295,18 @@ _NO_LANDMARKS = LandmarkEstimates(
 
 KINDS: dict[str, Kind] = {
     "joint": Kind(
-        "EK-PMB that keeps the correlation between vehicle and map",
         {"coupling": "joint", "density": "pmb"},
         SessionEstimator,
     ),
     "marginal": Kind(
-        "EK-PMB of the paper, which drops that correlation after every step",
         {"coupling": "marginal", "density": "pmb"},
         SessionEstimator,
     ),
     "pmbm": Kind(
-        "EK-PMBM, which carries several global hypotheses on",
         {"density": "pmbm"},
         SessionEstimator,
     ),
-    "phd": Kind("EK-PHD, whose map is an intensity without identities", {}, PhdEstimator),
-    "genie": Kind("iterated EKF that is told the true association", {}, GenieEstimator),
-    "dead_reckoning": Kind("the controls alone, no path used", {}, DeadReckoning),
+    "phd": Kind({}, PhdEstimator),
+    "genie": Kind({}, GenieEstimator),
+    "dead_reckoning": Kind({}, DeadReckoning),
 }

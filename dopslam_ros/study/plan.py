@@ -14,7 +14,7 @@ import scipy
 from dopslam_ros import __version__
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import ParameterError, checked_values
-from dopslam_ros.core.scenario import Scenario, ScenarioError, parse_scenario, scenario_content
+from dopslam_ros.core.scenario import Scenario, parse_scenario, scenario_content
 from dopslam_ros.study.estimators import check_label
 
 
@@ -140,7 +140,7 @@ def parse_plan(content: Any) -> Plan:
         )
     except (KeyError, TypeError, AttributeError) as error:
         raise StudyError(f"not the plan of a study: {error!r}") from error
-    except (ScenarioError, ParameterError) as error:
+    except ParameterError as error:
         raise StudyError(f"not a plan that this version can use: {error}") from error
 
 

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
+from dopslam_ros.core.quantiles import chi_square
 from dopslam_ros.study.results import Case, Results
 from dopslam_ros.study.run import FIELDS
 
@@ -144,7 +144,7 @@ def statistics(averages: Averages) -> dict[str, FloatArray]:
 def nees_band(runs: int) -> list[float]:
     """Where the mean NEES of so many runs at a step lies with CONFIDENCE, from chi2."""
     tail = (1.0 - CONFIDENCE) / 2.0
-    ends = chi2.ppf([tail, 1.0 - tail], UE_DIMENSION * runs) / runs
+    ends = chi_square([tail, 1.0 - tail], UE_DIMENSION * runs) / runs
     return [float(end) for end in ends]
 
 

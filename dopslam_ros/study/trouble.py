@@ -19,14 +19,6 @@ from dopslam_ros.core.session import FilterSession
 from dopslam_ros.core.simulator import Snapshot, simulate
 from dopslam_ros.core.study import filter_parameters_for
 
-# What may happen.
-KINDS = {
-    "blackout": "no sets for 10 s, the controls go on",
-    "dark": "neither sets nor controls for 10 s, in which the vehicle turns as it likes",
-    "kidnap": "moved by 20 m and turned by any angle, of which the controls say nothing",
-    "no_prior": "a start on a known map with no pose and no clock given",
-    "no_map": "a start with nothing known but the base station",
-}
 BLACKOUT = 10.0  # [s]
 KIDNAPPED = 20.0  # [m]
 # Sets before the trouble at least, and after it.
@@ -78,7 +70,7 @@ def trial(kind: str, scenario: Scenario, rng: np.random.Generator) -> Trial:
     """One run with trouble of a kind.
 
     Args:
-        kind: one of KINDS.
+        kind: one of TROUBLES.
         scenario: the scene.
         rng: seeded.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 from collections.abc import Sequence
@@ -11,31 +10,12 @@ from typing import Any
 import numpy as np
 
 from dopslam_ros.core.scenario import load_scenario
-from dopslam_ros.options import (
-    add_json,
-    add_scenario,
-    whole_from_one,
-    whole_from_zero,
-    with_progress,
-    write_json,
-)
-from dopslam_ros.study.trouble import KINDS, Trial, trial
+from dopslam_ros.options import with_progress, write_json
+from dopslam_ros.study.names import TROUBLES
+from dopslam_ros.study.trouble import Trial, trial
 
 # A recovery counts when it took no more sets than this.
 IN_TIME = 10
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
-    add_scenario(parser, "paper")
-    parser.add_argument(
-        "--kinds", nargs="+", choices=list(KINDS), default=list(KINDS), help="default: all"
-    )
-    parser.add_argument("--runs", type=whole_from_one, default=200, help="a kind (default: 200)")
-    parser.add_argument("--seed", type=whole_from_zero, default=1, help="default: 1")
-    add_json(parser)
-    lines = [f"  {name:16}{text}" for name, text in KINDS.items()]
-    parser.epilog = "\n".join(["kinds of trouble:", *lines, "", str(parser.epilog)])
 
 
 def run(options: Any) -> int:
@@ -44,7 +24,7 @@ def run(options: Any) -> int:
     cases = list(itertools.product(options.kinds, range(options.runs)))
     trials: dict[str, list[Trial]] = {kind: [] for kind in options.kinds}
     for kind, number in with_progress(cases, len(cases), "trouble"):
-        rng = np.random.default_rng([options.seed, list(KINDS).index(kind), number])
+        rng = np.random.default_rng([options.seed, list(TROUBLES).index(kind), number])
         trials[kind].append(trial(kind, scenario, rng))
     rows = {kind: summarise_trials(some) for kind, some in trials.items()}
     write_json(options.json, {"scenario": scenario.name, "seed": options.seed, "kinds": rows})

@@ -23,7 +23,7 @@ from dopslam_ros.bench.records import (
     read_record,
     times_as_long,
 )
-from dopslam_ros.bench.suite import BENCHMARKS, Benchmark
+from dopslam_ros.bench.suite import BENCHMARKS
 from dopslam_ros.bench.table import number
 from dopslam_ros.cli import main
 from dopslam_ros.core.filter import initial_filter_state, reported_landmarks
@@ -211,7 +211,7 @@ def test_what_is_done_is_kept(
 ) -> None:
     """On Ctrl-C, when a benchmark fails, and when something it needs is not there."""
     for name, run in (("step", some_figure), ("view", second), ("map", some_figure)):
-        monkeypatch.setitem(BENCHMARKS, name, Benchmark(f"title of {name}", run))
+        monkeypatch.setitem(BENCHMARKS, name, run)
     file = tmp_path / "b.json"
     arguments = ["--quick", "--only", "step", "view", "map", "--json", str(file)]
     assert main(["bench", *arguments]) == code

@@ -14,12 +14,12 @@ from dopslam_ros.core.model import clutter_box
 from dopslam_ros.core.motion import propagate
 from dopslam_ros.core.scenario import (
     Scenario,
-    builtin_scenarios,
     load_scenario,
     parse_scenario,
     scenario_content,
 )
 from dopslam_ros.core.simulator import all_landmarks, nominal_trajectory, visible
+from dopslam_ros.scenarios import builtin_scenarios
 
 NAMES = builtin_scenarios()
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dopslam_ros import topics
-from dopslam_ros.cli import NODES
+from dopslam_ros.commands.parameters import NODES
 from dopslam_ros.core.parameters import declarations
 
 if TYPE_CHECKING:

@@ -17,6 +17,7 @@ import pytest
 import yaml
 
 from dopslam_ros import cli
+from dopslam_ros.commands.parameters import NODES
 from dopslam_ros.core.parameters import declarations, parse_assignment
 from dopslam_ros.launching import plan
 
@@ -87,7 +88,7 @@ def check_node(node: str, rest: list[str]) -> None:
     if node == "dopslam":
         cli._parser().parse_args(rest)
         return
-    module, name = cli.NODES[node]
+    module, name = NODES[node]
     known = {d.name: d for d in declarations(getattr(importlib.import_module(module), name))}
     for flag, value in zip(rest[1::2], rest[2::2], strict=True):
         if flag == "-p":

@@ -12,12 +12,12 @@ import pytest
 from dopslam_ros.core.parameters import ParameterError
 from dopslam_ros.core.scenario import (
     Scenario,
-    builtin_scenarios,
     load_scenario,
     parse_scenario,
     scenario_content,
 )
 from dopslam_ros.files import json_text
+from dopslam_ros.scenarios import builtin_scenarios
 from dopslam_ros.study.plan import (
     Plan,
     StudyError,

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
-from scipy.stats import chi2
 
 from dopslam_ros.core.arrays import (
     BoolArray,
@@ -25,6 +24,7 @@ from dopslam_ros.core.filter.undetected import Undetected, nothing_seen
 from dopslam_ros.core.kernels.records import UE, Constants, Density
 from dopslam_ros.core.model import OnlineParameters
 from dopslam_ros.core.parameters import parameter
+from dopslam_ros.core.quantiles import chi_square
 
 # The types that a landmark of unknown type may have; a BS is always known.
 UNKNOWN_TYPES = (int(LandmarkType.VA), int(LandmarkType.SP))
@@ -155,7 +155,7 @@ class FilterParameters(OnlineParameters):
 @cache
 def gates(probability: float) -> FloatArray:
     """(7,) squared Mahalanobis distances inside which a path lies, by its number of components."""
-    return np.asarray(chi2.ppf(probability, np.arange(DIM + 1)))
+    return chi_square(probability, np.arange(DIM + 1))
 
 
 @dataclass(frozen=True)

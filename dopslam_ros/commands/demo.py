@@ -1,0 +1,63 @@
+"""``dopslam demo``: the whole of it, live."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from dopslam_ros.commands.replay import print_summary, summary_of
+from dopslam_ros.files import write_whole
+from dopslam_ros.options import add_scenario, add_seed, positive_number, write_json
+
+TEXT = "run the paper's scene live, record, replay, compare, draw"
+EXAMPLE = "dopslam demo --rate 5"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    add_scenario(parser, "paper")
+    add_seed(parser)
+    parser.add_argument(
+        "--rate", type=positive_number, default=10.0, help="times real time (default: 10)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs"), help="parent folder of the results"
+    )
+
+
+def run(options: Any) -> int:
+    """Runs it; returns 1 if the replay is not what was recorded."""
+    from tqdm import tqdm
+
+    from dopslam_ros.bag import BagReader
+    from dopslam_ros.core.scenario import load_scenario
+    from dopslam_ros.demo import new_folder, replay_and_compare, run_live
+    from dopslam_ros.figures.run import draw_run
+    from dopslam_ros.report.recorded import last_reports
+    from dopslam_ros.report.run_page import run_page
+
+    scenario = load_scenario(options.scenario)
+    seed = scenario.seed if options.seed is None else options.seed
+    folder = new_folder(options.out, scenario)
+    print(f"scene '{scenario.name}', seed {seed}, {options.rate:g} times real time -> {folder}")
+    with tqdm(total=scenario.steps, desc="live", unit="step") as bar:
+
+        def show(done: int) -> None:
+            if done > bar.n:
+                bar.update(done - bar.n)
+
+        bag = run_live(options.scenario, seed, options.rate, folder, show)
+    replayed, different = replay_and_compare(bag, folder / "replay")
+    summary = summary_of(replayed)
+    write_json(folder / "result.json", summary)
+    print(f"live run recorded in {bag}, replayed into {folder / 'replay'}")
+    print(f"replay against live: {different or 'all vehicle states equal, byte for byte'}")
+    print_summary(summary)
+    picture = folder / "run.png"
+    draw_run(replayed, picture, f"{scenario.name}, seed {seed}")
+    print(f"picture: {picture}")
+    page = folder / "report.html"
+    write_whole(page, run_page(replayed, str(bag), last_reports(BagReader(bag))).encode("utf-8"))
+    print(f"the map over time: open {page} in a browser")
+    return 1 if different else 0
