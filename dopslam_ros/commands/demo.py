@@ -55,9 +55,11 @@ def run(options: Any) -> int:
     print(f"replay against live: {different or 'all vehicle states equal, byte for byte'}")
     print_summary(summary)
     picture = folder / "run.png"
-    draw_run(replayed, picture, f"{scenario.name}, seed {seed}")
+    title = f"{scenario.name}, seed {seed}"
+    draw_run(replayed, picture, title)
     print(f"picture: {picture}")
     page = folder / "report.html"
-    write_whole(page, run_page(replayed, str(bag), last_reports(BagReader(bag))).encode("utf-8"))
+    text = run_page(replayed, title, bag.resolve(), last_reports(BagReader(bag)))
+    write_whole(page, text.encode("utf-8"))
     print(f"the map over time: open {page} in a browser")
     return 1 if different else 0

@@ -28,8 +28,10 @@ def report(options: Any) -> int:
     settings = read_settings(options)
     warm_up_filter(FilterParameters())  # times of steps are not to be those of a compiler
     run = replay(reader, settings, None, partial(with_progress, total=None, description="replay"))
-    out = options.out or Path(f"{options.bag.resolve().stem}.html")
-    write_whole(out, run_page(run, str(options.bag), last_reports(reader)).encode("utf-8"))
+    bag = options.bag.resolve()
+    out = options.out or Path(f"{bag.stem}.html")
+    text = run_page(run, bag.stem if bag.is_file() else bag.name, bag, last_reports(reader))
+    write_whole(out, text.encode("utf-8"))
     print(f"{len(run.outputs)} steps of {options.bag}: open {out} in a browser")
     if run.damage:
         print(f"damaged bag: {run.damage}")

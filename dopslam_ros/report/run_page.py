@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from html import escape
+from pathlib import Path
 
 import numpy as np
 
@@ -31,12 +32,13 @@ class NothingToShow(ValueError):
     """A run without a single step; the message says what is missing."""
 
 
-def run_page(run: Replay, name: str, recorded: Reports) -> str:
+def run_page(run: Replay, name: str, bag: Path, recorded: Reports) -> str:
     """The HTML of the report of a run.
 
     Args:
         run: a replay.
-        name: of the bag.
+        name: to head the page.
+        bag: where it is, said among the parameters.
         recorded: what the live nodes counted, by node.
 
     Raises:
@@ -44,7 +46,7 @@ def run_page(run: Replay, name: str, recorded: Reports) -> str:
         MissingLibrary: plotly is not installed.
     """
     if not run.outputs:
-        raise NothingToShow(f"bag '{name}' has no measurement set that can be filtered")
+        raise NothingToShow(f"bag '{bag}' has no measurement set that can be filtered")
     scene = scene_of(run)
     series = series_of(run) | _counts(scene, len(run.outputs))
     has_truth = bool(np.isfinite(series["error_position"]).any())
@@ -65,7 +67,7 @@ def run_page(run: Replay, name: str, recorded: Reports) -> str:
         "magnified": magnified,
     }
     charts = [chart for one in shown if has_truth or not one.needs_truth for chart in one.charts]
-    body = _body(run, name, recorded, series, shown, has_truth, magnified)
+    body = _body(run, name, bag, recorded, series, shown, has_truth, magnified)
     return page(f"{name} – run", body, data, {**scene, **series}, charts, SCRIPTS)
 
 
@@ -105,6 +107,7 @@ def _magnification(scene: Series, extent: tuple[float, float, float, float]) -> 
 def _body(
     run: Replay,
     name: str,
+    bag: Path,
     recorded: Reports,
     series: Series,
     shown: Iterable[Section],
@@ -129,7 +132,7 @@ def _body(
         f"<main>{''.join(notices)}{tiles(_numbers(run))}"
         f'<div class="columns"><div class="stage">{stage}</div><div class="charts">'
         f"{''.join(section(one, has_truth) for one in shown)}"
-        f"{card('problems', _problems(run, recorded))}{card('parameters', _parameters(run))}"
+        f"{card('problems', _problems(run, recorded))}{card('parameters', _parameters(run, bag))}"
         "</div></div></main><footer>Drawn by plotly.js (MIT licence). Keys: space plays, the arrows"
         " step, Home and End jump; a click into a chart goes to its time.</footer>"
     )
@@ -248,10 +251,11 @@ def _problems(run: Replay, recorded: Reports) -> str:
     return "".join(parts)
 
 
-def _parameters(run: Replay) -> str:
+def _parameters(run: Replay, bag: Path) -> str:
     parts = [
         "<h2>Parameters of the filter</h2>",
-        '<p class="soft">As resolved for this run; a dot marks those that are not the default.</p>',
+        '<p class="soft">As resolved for this run; a dot marks those that are not the default.'
+        f" The bag: {escape(str(bag))}</p>",
     ]
     rows = []
     for declared in declarations(type(run.parameters)):

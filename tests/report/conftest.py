@@ -44,9 +44,12 @@ class Browser:
         options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
         self.driver = webdriver.Chrome(options, Service(shutil.which(DRIVER)))
         self.driver.set_script_timeout(120)
+        self._window = (0, 0, "")
+        self._opened: tuple[Path, tuple[int, int, str]] | None = None
 
     def open(self, page: Path) -> None:
         """Loads a page until all of it is drawn; what was seen before is forgotten."""
+        self._opened = page, self._window
         self.driver.get("about:blank")
         self.complaints()
         self.requests()
@@ -54,6 +57,14 @@ class Browser:
         self.wait(
             "(function look() { document.body.dataset.ready ? done() : setTimeout(look, 10) })()"
         )
+
+    def show(self, page: Path) -> None:
+        """Loads a page unless it was loaded last, in this window.
+
+        It may be slid and played by then; tests that change anything else of it put that back.
+        """
+        if self._opened != (page, self._window):
+            self.open(page)
 
     def run(self, script: str, *arguments: Any) -> Any:
         """What a piece of JavaScript returns."""
@@ -92,6 +103,7 @@ class Browser:
 
     def emulate(self, width: int, height: int, scheme: str = "light") -> None:
         """Another window and another preference of the user."""
+        self._window = width, height, scheme
         self.driver.execute_cdp_cmd(
             "Emulation.setDeviceMetricsOverride",
             {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False},

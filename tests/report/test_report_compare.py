@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -182,25 +185,41 @@ def test_different_drives_are_not_subtracted(cases: list[Case]) -> None:
     assert not any(name.startswith("less") for name in found.columns)
 
 
+@dataclass(frozen=True)
+class Compared:
+    """What the command left: the page, the JSON, and what it said."""
+
+    page: Path
+    rows: list[Any]
+    said: str
+
+
+EVIL = "<b>bold & <img>"
+
+
+@pytest.fixture(scope="module")
+def compared(sims: Path, tmp_path_factory: pytest.TempPathFactory) -> Compared:
+    """Three cases, one of them with a name that is markup."""
+    folder = tmp_path_factory.mktemp("compared")
+    page, result = folder / "page.html", folder / "result.json"
+    asked = [f"{EVIL}={sims}", f"none={sims}:doppler=none", f"one={sims}:gamma=1"]
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        assert main(["compare", *asked, "--out", str(page), "--json", str(result)]) == 0
+    return Compared(page, json.loads(result.read_text())["rows"], said.getvalue())
+
+
 @pytest.mark.once
-def test_the_command(
-    sims: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], browser: Browser
-) -> None:
+def test_the_command(compared: Compared, browser: Browser) -> None:
     """Tables on the terminal, the same numbers as JSON, a page that loads alone."""
-    evil = "<b>bold & <img>"
-    out, result = tmp_path / "page.html", tmp_path / "result.json"
-    asked = [f"{evil}={sims}", f"none={sims}:doppler=none", f"one={sims}:gamma=1"]
-    assert main(["compare", *asked, "--out", str(out), "--json", str(result)]) == 0
-    said = capsys.readouterr().out
-    rows = json.loads(result.read_text())["rows"]
-    assert [row["case"] for row in rows] == [evil, "none", "one"]
+    out, rows, said = compared.page, compared.rows, compared.said
+    assert [row["case"] for row in rows] == [EVIL, "none", "one"]
     assert all(f"{row['position_rmse']['value']:.4f}" in said for row in rows)
     assert "on the same runs" in said and "nan" not in said
     browser.open(out)
     assert not browser.complaints()
     assert browser.requests() == [out.as_uri()]
     assert browser.run("return document.querySelectorAll('main img, header img').length") == 0
-    assert evil in browser.run("return document.querySelector('h1').textContent")
+    assert EVIL in browser.run("return document.querySelector('h1').textContent")
     plots = browser.run("return charts.map(({plot}) => plot.querySelectorAll('.trace').length)")
     assert len(plots) == 11 and all(plots)
     table = browser.run("return document.getElementById('section-table').innerText")
@@ -208,11 +227,9 @@ def test_the_command(
 
 
 @pytest.mark.once
-def test_a_zoom_is_shared(sims: Path, tmp_path: Path, browser: Browser) -> None:
+def test_a_zoom_is_shared(compared: Compared, browser: Browser) -> None:
     """All charts over time show the same piece of it; the map of the tracks stays."""
-    bag, out = sims / "run0", tmp_path / "page.html"
-    assert main(["compare", str(bag), f"{bag}:doppler=none", "--out", str(out)]) == 0
-    browser.open(out)
+    browser.show(compared.page)
     tracks = "return charts.at(-1).plot._fullLayout.xaxis.range"
     before = browser.run(tracks)
     browser.run("Plotly.relayout(charts[0].plot, {'xaxis.range': [1, 2]})")
