@@ -85,51 +85,56 @@ def density(axes: Any) -> None:
     axes.axis("off")
 
 
-# Name, centre, and what it is; colour by ring.
-BOXES = (
-    ("your estimator,\nsimulator or player", (1.6, 4.6), "white"),
-    ("filter node", (5.6, 5.4), "#dce9f6"),
-    ("bounds node", (5.6, 3.8), "#dce9f6"),
-    ("recorder node", (9.9, 4.6), "#dce9f6"),
-    ("MCAP bag", (13.4, 4.6), "white"),
-    (
+# By name: what it is, centre, and colour by ring.
+BOXES = {
+    "source": ("your estimator,\nsimulator or player", (1.6, 4.6), "white"),
+    "filter": ("filter node", (5.6, 5.5), "#dce9f6"),
+    "bounds": ("bounds node", (5.6, 3.7), "#dce9f6"),
+    "recorder": ("recorder node", (9.9, 4.6), "#dce9f6"),
+    "bag": ("MCAP bag", (13.4, 4.6), "white"),
+    "core": (
         "core: FilterSession, BoundsSession\n(no ROS, the same live and offline)",
         (5.6, 1.4),
         "#e3f1e6",
     ),
-    ("dopslam replay, report,\ncompare, study", (11.7, 1.4), "#fdf0d9"),
-)
+    "offline": ("dopslam replay, report,\ncompare, study", (13.4, 1.4), "#fdf0d9"),
+}
+# From box to box; what goes along, and where that stands beside the middle.
 ARROWS = (
-    ((2.95, 4.8), (5.0, 5.35), "", (0.0, 0.0)),
-    ((2.95, 4.4), (4.85, 3.9), "sets, controls", (-0.5, 0.2)),
-    ((5.6, 5.1), (5.6, 4.1), "state, map", (0.1, -0.1)),
-    ((6.4, 5.35), (9.0, 4.8), "pose, map", (0.0, 0.15)),
-    ((6.5, 3.85), (9.0, 4.4), "bounds", (-0.3, 0.15)),
-    ((10.85, 4.6), (12.65, 4.6), "writes", (-0.3, 0.1)),
-    ((5.6, 3.5), (5.6, 1.85), "both call", (0.1, 0.0)),
-    ((13.2, 4.3), (12.2, 1.85), "read", (0.2, 0.0)),
-    ((10.3, 1.4), (7.8, 1.4), "call", (-0.2, 0.1)),
+    ("source", "filter", "sets,\ncontrols", (-0.1, 0.35)),
+    ("source", "bounds", "", (0.0, 0.0)),
+    ("filter", "bounds", "state, map", (0.7, 0.0)),
+    ("filter", "recorder", "pose, map", (0.4, 0.3)),
+    ("bounds", "recorder", "bounds", (0.4, -0.3)),
+    ("recorder", "bag", "writes", (0.1, 0.2)),
+    ("bounds", "core", "both call", (0.65, 0.0)),
+    ("bag", "offline", "read", (0.4, 0.0)),
+    ("offline", "core", "call", (-0.1, 0.2)),
 )
 
 
 def architecture(axes: Any) -> None:
     """Nodes convert and publish, one core computes; offline commands call the same core."""
-    for name, (x, y), colour in BOXES:
-        axes.text(
-            x,
-            y,
-            name,
-            ha="center",
-            va="center",
-            bbox={"boxstyle": "round,pad=0.5", "fc": colour, "ec": "0.4"},
-        )
-    for start, end, label, shift in ARROWS:
-        axes.annotate(
-            "", end, start, arrowprops={"arrowstyle": "->", "color": "0.25", "shrinkA": 0}
-        )
-        axes.text(*(np.add(start, end) / 2 + shift), label, color="0.35", fontsize=9)
-    axes.set(xlim=(-0.3, 15), ylim=(0.4, 6.3))
+    axes.set(xlim=(-0.3, 15), ylim=(0.7, 6.1))
     axes.axis("off")
+    frames = {}
+    for name, (text, (x, y), colour) in BOXES.items():
+        look = {"boxstyle": "round,pad=0.5", "fc": colour, "ec": "0.4"}
+        drawn = axes.text(x, y, text, ha="center", va="center", bbox=look)
+        frames[name] = drawn.get_bbox_patch()
+    for start, end, label, shift in ARROWS:
+        look = {
+            "arrowstyle": "-|>",
+            "color": "0.25",
+            "patchA": frames[start],
+            "patchB": frames[end],
+            "shrinkA": 0,
+            "shrinkB": 0,
+        }
+        places = BOXES[start][1], BOXES[end][1]
+        axes.annotate("", places[1], places[0], arrowprops=look)
+        at = np.mean(places, axis=0) + shift
+        axes.text(*at, label, color="0.35", fontsize=9, ha="center", va="center")
 
 
 FIGURES = {
