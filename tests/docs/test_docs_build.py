@@ -14,6 +14,8 @@ import pytest
 
 from dopslam_ros import topics
 from dopslam_ros.commands.parameters import NODES
+from dopslam_ros.core import health, recovery, relocalise
+from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import declarations
 
 if TYPE_CHECKING:
@@ -97,3 +99,25 @@ def test_figures_are_drawn_by_their_command(tmp_path: Path) -> None:
         ours, theirs = imread(tmp_path / name), imread(DOCS / "figures" / name)
         assert ours.shape == theirs.shape
         assert np.abs(ours - theirs).mean() < 0.02  # another version sets letters otherwise
+
+
+def test_what_is_said_of_health_is_what_the_code_does() -> None:
+    """Every threshold and every figure in the page's section."""
+    page = (DOCS / "using.rst").read_text("utf-8")
+    section = page.partition("Whether to believe it")[2].partition("Maps that are kept")[0]
+    for text in (
+        f"``doubt`` reached {health.DOUBT_AT:g}:",
+        f"``doubt`` reached {health.LOST_AT:g},",
+        f"``health_position_std`` ({FilterParameters().health_position_std:g} m)",
+        f"``nis_deviations`` is above {health.MORE_THAN_CHANCE:g}",
+        f"are {health.MORE_THAN_CHANCE:g} standard deviations",
+        f"in {health.LONGEST_SILENCE} sets",
+        f"deviation is {relocalise.ANYWHERE[0]:g} m",
+        f":sup:`{recovery.SURE:g}`",
+        f":sup:`-{health.LOST_AT:g}`",
+    ):
+        assert text in section, text
+    names = {name for name, _ in health.HEALTHY.figures}
+    names |= {d.name for d in declarations(FilterParameters)}
+    told = set(re.findall(r"``([a-z]+(?:_[a-z]+)+)``", section))
+    assert told and told <= names
