@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 
 from dopslam_ros import topics
 from dopslam_ros.bag import BagWriter
+from dopslam_ros.commands.parameters import NODES
 from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.player import PlayerNode
@@ -72,7 +74,7 @@ def created(ros: Ros, node: str, namespace: str) -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize("namespace", ["/", "/car1"])
-@pytest.mark.parametrize("node", ["simulator", "filter", "bounds", "recorder", "player"])
+@pytest.mark.parametrize("node", sorted(NODES))
 def test_the_policy_is_what_the_nodes_do(
     ros: Ros, tmp_path: Path, scene: Path, node: str, namespace: str
 ) -> None:
@@ -92,21 +94,85 @@ def test_the_policy_is_what_the_nodes_do(
     assert created(ros, node, namespace) == allowed(node, namespace)
 
 
+# What the schema of sros2 (policy 0.2.0) asks for, by element: the attributes it must have, those it
+# may have, and the elements in it, at least one where there are any.
+ALLOW_OR_DENY = ("ALLOW", "DENY")
+FORM: dict[str, tuple[set[str], set[str], set[str]]] = {
+    "policy": ({"version"}, set(), {"enclaves"}),
+    "enclaves": (set(), set(), {"enclave"}),
+    "enclave": ({"path"}, set(), {"profiles"}),
+    "profiles": (set(), {"type"}, {"profile"}),
+    "profile": ({"ns", "node"}, set(), {"topics", "services"}),
+    "topics": (set(), {"publish", "subscribe"}, {"topic"}),
+    "services": (set(), {"reply", "request"}, {"service"}),
+    "topic": (set(), set(), set()),
+    "service": (set(), set(), set()),
+}
+
+
+def faults(element: ElementTree.Element) -> list[str]:
+    """What the schema would not take, and what sros2 would translate into nothing."""
+    needed, optional, inner = FORM[element.tag]
+    given = set(element.attrib)
+    found = [f"{element.tag} without {name}" for name in sorted(needed - given)]
+    found += [f"{element.tag} with {name}" for name in sorted(given - needed - optional)]
+    if element.tag in ("topics", "services"):
+        values = list(element.attrib.values())
+        found += [f"{value} is no rule" for value in values if value not in ALLOW_OR_DENY]
+        found += [f"{element.tag} that rule nothing"] if not values else []
+    if inner and not len(element):
+        found.append(f"{element.tag} is empty")
+    if not inner and not re.fullmatch(r"(/|~/)?[a-z_]+(/[a-z_]+)*", element.text or ""):
+        found.append(f"'{element.text}' is no name")
+    for child in element:
+        if child.tag in inner:
+            found += faults(child)
+        else:
+            found.append(f"{child.tag} in {element.tag}")
+    return found
+
+
 def test_the_policy_has_the_form_that_sros2_reads() -> None:
-    """Policy, enclaves, enclave, profiles, profile, rules: nested as its schema says."""
+    """As its schema says, and an enclave for each executable, with its one profile."""
     root = ElementTree.parse(POLICY).getroot()
-    assert (root.tag, root.attrib) == ("policy", {"version": "0.2.0"})
-    (enclaves,) = root
-    for enclave in enclaves:
-        assert (enclave.tag, set(enclave.attrib)) == ("enclave", {"path"})
-        (profiles,) = enclave
-        (profile,) = profiles
-        assert (profiles.tag, profile.tag) == ("profiles", "profile")
-        assert profile.attrib == {"ns": "/", "node": enclave.attrib["path"].rpartition("/")[2]}
-        for rules in profile:
-            ((rule, value),) = rules.attrib.items()
-            assert (rules.tag, rule) in RULES and value == "ALLOW"
-            assert {item.tag for item in rules} == {rules.tag.removesuffix("s")}
+    assert root.tag == "policy" and not faults(root)
+    assert root.get("version") == "0.2.0" and len(root) == 1
+    nodes = []
+    for enclave in root.iter("enclave"):
+        ((profile,),) = enclave
+        assert profile.get("ns") == "/"
+        assert enclave.get("path") == f"/dopslam/{profile.get('node')}"
+        nodes.append(profile.get("node"))
+        rules = [(r.tag, *r.attrib) for r in profile]
+        assert len(rules) == len(set(rules)) and set(rules) <= set(RULES)
+    assert sorted(nodes) == sorted(NODES)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        (' version="0.2.0"', "", "policy without version"),
+        (' node="filter"', "", "profile without node"),
+        ('publish="ALLOW"', 'publish="allow"', "allow is no rule"),
+        ('publish="ALLOW"', 'publishes="ALLOW"', "topics with publishes"),
+        ("<topic>ue_state</topic>", "<topic>ue state</topic>", "'ue state' is no name"),
+        ("<topic>ue_state</topic>", "<service>ue_state</service>", "service in topics"),
+    ],
+)
+def test_a_policy_of_another_form_is_noticed(old: str, new: str, fault: str) -> None:
+    """Each of what the schema forbids, put into our file."""
+    text = POLICY.read_text("utf-8")
+    assert old in text
+    assert fault in faults(ElementTree.fromstring(text.replace(old, new)))
+
+
+def test_the_policy_knows_every_topic() -> None:
+    """Each topic of the package is published by a node and heard by another."""
+    rules = [allowed(node, "/") for node in NODES]
+    every = {topic.name for topic in (topics.FILTER_EVENTS, *topics.RECORDED)}
+    full = {name if name.startswith("/") else f"/{name}" for name in every}
+    for rule in ("publish", "subscribe"):
+        assert full <= set().union(*(found[rule] for found in rules)), rule
 
 
 @pytest.mark.parametrize("chosen", [None, "SUBNET"])
