@@ -94,8 +94,8 @@ def test_the_policy_is_what_the_nodes_do(
     assert created(ros, node, namespace) == allowed(node, namespace)
 
 
-# What the schema of sros2 (policy 0.2.0) asks for, by element: the attributes it must have, those it
-# may have, and the elements in it, at least one where there are any.
+# What the schema of sros2 (policy 0.2.0) asks for, by element: the attributes it must have, those
+# it may have, and the elements in it, at least one where there are any.
 ALLOW_OR_DENY = ("ALLOW", "DENY")
 FORM: dict[str, tuple[set[str], set[str], set[str]]] = {
     "policy": ({"version"}, set(), {"enclaves"}),
