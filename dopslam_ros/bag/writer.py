@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,7 +10,8 @@ from types import TracebackType
 
 from dopslam_ros import __version__
 from dopslam_ros.bag import metadata
-from dopslam_ros.bag.errors import BagExistsError, BagWriteError
+from dopslam_ros.bag.errors import BagWriteError
+from dopslam_ros.bag.file import create_file
 from dopslam_ros.bag.mcapwriter import McapWriter
 from dopslam_ros.bag.qos import OfferedQos, to_yaml
 from dopslam_ros.bag.reader import TopicInfo
@@ -58,7 +58,8 @@ class BagWriter:
             flush_seconds: Age at which ``write`` finishes a chunk [s]; None: never, so that equal
                 calls make equal files.
             fsync_seconds: Interval at which the disk is made to store everything [s], which
-                matters when the power fails; None: only when the bag is closed.
+                matters when the power fails; a thread of its own waits for it. None: only when the
+                bag is closed.
 
         Raises:
             BagExistsError: ``path`` exists.
@@ -70,10 +71,9 @@ class BagWriter:
         self._start_ns: int | None = None
         self._end_ns: int | None = None
         self._flush_seconds = flush_seconds
-        self._fsync_seconds = fsync_seconds
-        self._flushed = self._synced = time.monotonic()
+        self._flushed = time.monotonic()
         self._closed = False
-        self._sink = _create(self.path)
+        self._sink = create_file(self.path, fsync_seconds)
         self._mcap = McapWriter(self._sink, chunk_bytes, f"dopslam_ros {__version__}")
         self._commit()
 
@@ -239,13 +239,9 @@ class BagWriter:
                 self.flush()
 
     def _commit(self) -> None:
-        """Give finished chunks to the operating system, and to the disk when it is time."""
+        """Give finished chunks to the operating system."""
         try:
             self._sink.commit()
-            if self._fsync_seconds is not None:
-                if self._flushed - self._synced >= self._fsync_seconds:
-                    self._synced = self._flushed
-                    self._sink.sync()
         except OSError as error:
             self._closed = True
             self._sink.close()
@@ -278,59 +274,3 @@ class BagWriter:
             f"writing bag '{self.path}' failed ({error.strerror or error}): recording has ended, "
             "what was written before can be read; make room or check the disk, then start a new bag"
         )
-
-
-class _Sink:
-    """End of a file to which bytes are added in whole groups, or not at all."""
-
-    def __init__(self, path: Path) -> None:
-        self.name = path.name
-        self.pending = bytearray()
-        self._size = 0
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0)
-        self._descriptor = os.open(path, flags, 0o644)
-        self._closed = False
-
-    def write(self, data: bytes) -> int:
-        """Add bytes to the group."""
-        self.pending += data
-        return len(data)
-
-    def tell(self) -> int:
-        """Offset of the next byte."""
-        return self._size + len(self.pending)
-
-    def commit(self) -> None:
-        """Write the group; when the disk refuses, the file stays as it was before the group."""
-        rest = memoryview(bytes(self.pending))
-        self.pending.clear()
-        try:
-            while rest:
-                rest = rest[os.write(self._descriptor, rest) :]
-        except OSError:
-            os.ftruncate(self._descriptor, self._size)
-            raise
-        self._size = os.lseek(self._descriptor, 0, os.SEEK_CUR)
-
-    def sync(self) -> None:
-        """Wait until the disk has stored everything."""
-        os.fsync(self._descriptor)
-
-    def close(self) -> None:
-        """Close the file."""
-        if not self._closed:
-            self._closed = True
-            os.close(self._descriptor)
-
-
-def _create(path: Path) -> _Sink:
-    """Create the folder of a bag and its file."""
-    try:
-        path.mkdir(parents=True)
-        return _Sink(path / f"{path.name}_0.mcap")
-    except FileExistsError as error:
-        raise BagExistsError(
-            f"'{path}' exists already and is not overwritten: choose another name, or move it away"
-        ) from error
-    except (OSError, ValueError) as error:
-        raise BagWriteError(f"bag '{path}' cannot be created: {error}") from error

@@ -132,10 +132,10 @@ def resident_memory(settled: int, steps: int) -> tuple[int, int]:
     return before, occupied()
 
 
-def occupied() -> int:
-    """Resident set size of this process in bytes."""
+def occupied(process: int | str = "self") -> int:
+    """Resident set size of a process, given by its number, in bytes."""
     try:
-        pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])
+        pages = int(Path(f"/proc/{process}/statm").read_text("ascii").split()[1])
     except OSError as error:
         raise NotMeasured(f"this system does not tell what a process occupies: {error}") from error
     return pages * os.sysconf("SC_PAGE_SIZE")

@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -67,7 +66,7 @@ def exchanges(rate: float, seconds: float) -> Measured:
         rate: sets per second.
         seconds: how long, each.
     """
-    _check_rclpy()
+    check_rclpy()
     settings = to_mapping(filter_parameters_for(load_scenario("paper")))
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -107,7 +106,7 @@ def exchanges(rate: float, seconds: float) -> Measured:
 
 def ready(quick: bool) -> Measured:
     """From the start of the process to the line "ready", with the kernels compiled and not yet."""
-    _check_rclpy()
+    check_rclpy()
     cold, warm, bare = [], [], []
     settings = to_mapping(filter_parameters_for(load_scenario("paper")))
     for _ in range(1 if quick else 5):
@@ -128,9 +127,9 @@ def ready(quick: bool) -> Measured:
     )
 
 
-def role(name: str, *arguments: object) -> list[str]:
-    """What starts one of the processes around the filter."""
-    command = [sys.executable, "-m", "dopslam_ros.bench.live_nodes", name]
+def role(name: str, *arguments: object, of: str = "live_nodes") -> list[str]:
+    """What starts one of the processes around a node."""
+    command = [sys.executable, "-m", f"dopslam_ros.bench.{of}", name]
     return command + [str(argument) for argument in arguments]
 
 
@@ -149,22 +148,20 @@ def _exchange(
         if counted is not None:
             said = folder / "listener.log"
             listening = stack.enter_context(running(role("listener", counted), said, environment))
-            _wait(partial(_says, listening, said, READY), said)
-            _check_running(listening, said)
+            wait_for(READY, listening, said)
         answering = stack.enter_context(running(command, log, environment))
-        _wait(partial(_says, answering, log, READY), log)
-        _check_running(answering, log)
+        wait_for(READY, answering, log)
         said = folder / "driver.log"
         driver = stack.enter_context(
             running(role("driver", of, rate, seconds, result), said, environment)
         )
         taken = []
         for word in (b"begin", b"end"):
-            _wait(partial(_says, driver, said, word), said, seconds + PATIENCE)
-            _check_running(answering, log)
-            taken.append(_processor_seconds(answering.pid))
+            wait_for(word, driver, said, seconds + PATIENCE)
+            check_running(answering, log)
+            taken.append(processor_seconds(answering.pid))
         if driver.wait(PATIENCE):
-            raise RuntimeError(f"the driver ended: {_last_line(said)}")
+            raise RuntimeError(f"the driver ended: {last_line(said)}")
         content = json.loads(result.read_text("utf-8"))
     before, after = taken
     latencies, lost = content["latencies"], content["lost"]
@@ -175,44 +172,65 @@ def _seconds_to_ready(command: Sequence[str], folder: Path, variables: Mapping[s
     log = folder / "ready.log"
     started = time.perf_counter()
     with running(command, log, {**isolated_environment(), **variables}) as process:
-        _wait(partial(_says, process, log, READY), log, PATIENCE, 0.005)
+        wait_for(READY, process, log, period=0.005)
         taken = time.perf_counter() - started
-        _check_running(process, log)
     return taken
 
 
-def _says(process: subprocess.Popen[bytes], log: Path, word: bytes) -> bool:
-    """Whether a process has said a word, or never will."""
-    return word in log.read_bytes() or process.poll() is not None
-
-
-def _wait(
-    condition: Callable[[], bool], log: Path, patience: float = PATIENCE, period: float = 0.02
+def wait_for(
+    word: bytes,
+    process: subprocess.Popen[bytes],
+    log: Path,
+    patience: float = PATIENCE,
+    period: float = 0.02,
+    meanwhile: Callable[[], object] = bool,
 ) -> None:
+    """Waits until a process says a word.
+
+    Args:
+        word: what it says.
+        process: who.
+        log: where.
+        patience: how long [s].
+        period: between two looks [s].
+        meanwhile: what to do at each.
+
+    Raises:
+        RuntimeError: it ended, or took too long.
+    """
     end = time.monotonic() + patience
-    while not condition():
+    while True:
+        ended = process.poll() is not None
+        if word in log.read_bytes():
+            return
+        if ended:
+            raise RuntimeError(f"a node ended: {last_line(log)}")
         if time.monotonic() > end:
-            raise RuntimeError(f"waited {patience:g} s in vain: {_last_line(log)}")
+            raise RuntimeError(f"waited {patience:g} s in vain: {last_line(log)}")
+        meanwhile()
         time.sleep(period)
 
 
-def _check_running(process: subprocess.Popen[bytes], log: Path) -> None:
+def check_running(process: subprocess.Popen[bytes], log: Path) -> None:
+    """Raises RuntimeError if a process has ended."""
     if process.poll() is not None:
-        raise RuntimeError(f"a node ended: {_last_line(log)}")
+        raise RuntimeError(f"a node ended: {last_line(log)}")
 
 
-def _processor_seconds(pid: int) -> float:
+def processor_seconds(pid: int) -> float:
     """Processor time that a process has taken so far [s]."""
     # After the name in brackets, which may hold anything, come fields 3, 4, ...
     fields = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _last_line(log: Path) -> str:
+def last_line(log: Path) -> str:
+    """What a process said last."""
     lines = log.read_text("utf-8", errors="replace").strip().splitlines()
     return lines[-1] if lines else "nothing was logged"
 
 
-def _check_rclpy() -> None:
+def check_rclpy() -> None:
+    """Raises NotMeasured if it is not there."""
     if importlib.util.find_spec("rclpy") is None:
         raise NotMeasured("rclpy is not there: source ROS 2 Jazzy or use .venv")

@@ -183,10 +183,10 @@ def listener(out: str) -> None:
     Path(out).write_text(json.dumps(count), "utf-8")
 
 
-def listen(node: Node, topic: topics.Topic, callback: Any) -> None:
+def listen(node: Node, topic: topics.Topic, callback: Any) -> Any:
     """A subscription to the bytes of a topic."""
     kind = middleware_class(topic.type_name)
-    node.create_subscription(kind, topic.name, callback, reading_profile(topic), raw=True)
+    return node.create_subscription(kind, topic.name, callback, reading_profile(topic), raw=True)
 
 
 def spin(node: Node) -> None:

@@ -76,11 +76,11 @@ def soak(quick: bool) -> Measured:
     )
 
 
-def endless_scene(steps: int) -> Scenario:
+def endless_scene(rate: float, steps: int) -> Scenario:
     """The paper's scene in quick succession; without noise the vehicle stays on its circle."""
     paper = load_scenario("paper")
     controls = paper.controls[:1] * steps
-    return replace(paper, period=1.0 / RATE, controls=controls, process_noise_std=(0.0,) * 4)
+    return replace(paper, period=1.0 / rate, controls=controls, process_noise_std=(0.0,) * 4)
 
 
 def record_inputs(bag: Path, steps: int) -> None:
@@ -89,7 +89,7 @@ def record_inputs(bag: Path, steps: int) -> None:
     Raises:
         BagError: it cannot be written.
     """
-    scene = endless_scene(steps)
+    scene = endless_scene(RATE, steps)
     with BagWriter(bag, chunk_bytes=2**20, flush_seconds=None) as writer:
         for snapshot in simulate(scene, np.random.default_rng(1)):
             for topic, message in snapshot_messages(snapshot, snapshot.stamp_ns, Frames()):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dopslam_ros.bench import batch, live, pieces, scaling, soak, steps
+from dopslam_ros.bench import batch, live, load, pieces, scaling, soak, steps
 from dopslam_ros.bench.records import Measured, NotMeasured, Record
 from dopslam_ros.bench.titles import TITLES
 from dopslam_ros.study.executors import one_blas_thread
@@ -18,6 +18,8 @@ BENCHMARKS: dict[str, Callable[[bool], Measured]] = {
     "study": batch.study,
     "replay": batch.replay_of_a_bag,
     "nodes": live.nodes,
+    "recorder": load.recorder,
+    "overload": load.overload,
     "memory": batch.memory,
     "soak": soak.soak,
     "ready": live.ready,

@@ -8,6 +8,8 @@ TITLES = {
     "study": "A study of the paper's scene with and without Doppler, with bounds, on all cores.",
     "replay": "A bag of the paper's scene replayed, MCAP read and written, start-up excluded.",
     "nodes": "The filter node in a process of its own at 100 Hz, all it says subscribed to.",
+    "recorder": "The recorder node in a process of its own, 1,000 sets and controls a second.",
+    "overload": "The filter node in a process of its own, ten times the sets that it can answer.",
     "memory": "Memory of a filter that never stops.",
     "soak": "Two hours of a scene at 10 Hz from a bag, twice: memory, times and results.",
     "ready": 'The filter node from its start to "ready", first and later starts.',

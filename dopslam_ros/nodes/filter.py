@@ -65,7 +65,7 @@ class FilterNode(DopslamNode):
         self._sets = 0
         self._idle = False
         self._most_waiting = p.most_waiting
-        self._inbox = Inbox(self, p.most_waiting, self._on_overload)
+        self._inbox = Inbox(self, p.most_waiting, self._on_overload, self.miss)
         publishers = [output.publisher for output in self._outputs.values()]
         self.start_when_joined(p.wait_for_nodes, publishers, self._start)
 
@@ -87,11 +87,11 @@ class FilterNode(DopslamNode):
         measurements = read_measurements(message)
         self._publish(self._session.add_measurements(stamp_ns(message.header), measurements))
 
-    def _on_overload(self, topic: str) -> None:
+    def _on_overload(self, topic: str, count: int) -> None:
         of_sets = topic == topics.CHANNEL_MEASUREMENTS.name
         reason = "overload_dropped" if of_sets else "overload_dropped_control"
         text = f"more than {self._most_waiting} wait: send fewer, or give the node more processor"
-        self.refuse(topic, Refused(reason, text))
+        self.refuse(topic, Refused(reason, text), count)
 
     def _on_silence(self) -> None:
         """Nothing arrived for a whole period: what waits will wait in vain."""

@@ -15,7 +15,10 @@ from dopslam_ros import topics
 from dopslam_ros.bag import BagError, BagWriteError, BagWriter
 from dopslam_ros.bag.qos import from_profile
 from dopslam_ros.core.parameters import parameter
+from dopslam_ros.core.refusal import Refused
+from dopslam_ros.nodes.inbox import Inbox
 from dopslam_ros.nodes.runtime import (
+    LOST,
     STEADY,
     DopslamNode,
     RCLError,
@@ -29,6 +32,8 @@ from dopslam_ros.nodes.runtime import (
 
 FLUSH_PERIOD = 0.5
 DISCOVERY_PERIOD = 0.5
+# Messages of a topic that may wait while the disk is slow.
+MOST_WAITING = 5000
 
 
 @dataclass(frozen=True)
@@ -57,11 +62,12 @@ class RecorderNode(DopslamNode):
         self._failure = ""
         self._subscribed: set[str] = set()
         self._known: set[str] = set()
+        self._inbox = Inbox(self, MOST_WAITING, self._on_overload, self.miss)
         # The controls last: see DopslamNode.joined.
         recorded = (topics.FILTER_EVENTS, *topics.RECORDED)
         for topic in sorted(recorded, key=lambda t: t == topics.ODOMETRY_CONTROL):
             name = self.resolve_topic_name(topic.name)
-            self._record(name, topic.type_name, reading_profile(topic))
+            self._record(name, topic.type_name, reading_profile(topic, MOST_WAITING))
         self.create_timer(FLUSH_PERIOD, self._flush, clock=STEADY)
         if self._extra:
             self.create_timer(DISCOVERY_PERIOD, self._discover, clock=STEADY)
@@ -77,13 +83,8 @@ class RecorderNode(DopslamNode):
 
     def _record(self, name: str, type_name: str, qos: QoSProfile) -> None:
         self._subscribed.add(name)
-        self.create_subscription(
-            middleware_class(type_name),
-            name,
-            partial(self._write, name, type_name),
-            qos,
-            raw=True,
-        )
+        write = partial(self._write, name, type_name)
+        self._inbox.listen(middleware_class(type_name), name, qos, write)
 
     def _discover(self) -> None:
         """Subscribes to the extra topics as their publishers appear, as these offer them."""
@@ -131,10 +132,15 @@ class RecorderNode(DopslamNode):
             self.get_logger().error(self._failure)
         self.refuse(source, error)
 
+    def _on_overload(self, topic: str, count: int) -> None:
+        self._lost += count
+        text = f"more than {MOST_WAITING} wait: record on a faster disk, or give more processor"
+        self.refuse(topic, Refused("overload_dropped", text), count)
+
     def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
         values: list[tuple[str, Any]] = [
             ("messages_written", self._written),
-            ("messages_lost", self._lost),
+            ("messages_lost", self._lost + self.problems[LOST]),
             ("topics", len(self._known)),
         ]
         if self._failure:
@@ -142,6 +148,7 @@ class RecorderNode(DopslamNode):
         return 0, f"{self._written} messages written", values
 
     def close(self) -> None:
+        self._inbox.empty()
         try:
             self._bag.close()
             self.get_logger().info(f"closed {self._bag.path}: {self._written} messages")

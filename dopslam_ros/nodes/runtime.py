@@ -46,6 +46,7 @@ from dopslam_ros.core.parameters import (
     from_mapping,
     to_mapping,
 )
+from dopslam_ros.core.refusal import Refused
 from dopslam_ros.messages import make_diagnostics, read_message
 from dopslam_ros.nodes.inbox import Inbox
 
@@ -56,6 +57,8 @@ LOG_PERIOD = 5.0
 RCLError = rclpy_implementation.RCLError
 JOIN_PERIOD = 0.2
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+# The reason that is given for messages that the middleware lost.
+LOST = "lost_by_middleware"
 # Messages that wait for a subscriber that is busy.
 READING_DEPTH = 1000
 
@@ -83,13 +86,13 @@ def qos_profile(offered: OfferedQos) -> QoSProfile:
     )
 
 
-def reading_profile(topic: topics.Topic) -> QoSProfile:
+def reading_profile(topic: topics.Topic, depth: int = READING_DEPTH) -> QoSProfile:
     """The quality of service to read a topic with.
 
     As it is offered, but with a deep queue: of a latched topic one message is kept for those who
     come late, while somebody who is there wants to miss none.
     """
-    return qos_profile(replace(topic.qos, depth=max(topic.depth, READING_DEPTH)))
+    return qos_profile(replace(topic.qos, depth=max(topic.depth, depth)))
 
 
 class Output:
@@ -216,20 +219,12 @@ class DopslamNode(Node):
             except Exception as error:  # a node never dies of a message
                 self.refuse(topic.name, error)
 
-        def waits(payload: bytes) -> None:
-            assert inbox is not None
-            inbox.put(topic.name, payload)
-
-        subscription = self.create_subscription(
-            middleware_class(topic.type_name),
-            topic.name,
-            guarded if inbox is None else waits,
-            reading_profile(topic),
-            raw=True,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
-        if inbox is not None:
-            inbox.watch(topic.name, subscription, guarded)
+        kind, qos = middleware_class(topic.type_name), reading_profile(topic)
+        options: Any = {"qos_overriding_options": QoSOverridingOptions.with_default_policies()}
+        if inbox is None:
+            self.create_subscription(kind, topic.name, guarded, qos, raw=True, **options)
+        else:
+            inbox.listen(kind, topic.name, qos, guarded, **options)
 
     def subscribe_last(
         self, topic: topics.Topic, callback: Callable[[Any], None], inbox: Inbox | None = None
@@ -288,10 +283,10 @@ class DopslamNode(Node):
         # The steady clock: where time is simulated it may not run before this node does.
         timer = self.create_timer(JOIN_PERIOD, look, clock=STEADY)
 
-    def refuse(self, source: str, error: Exception) -> None:
-        """Counts an input that was refused and logs it, each reason at most every few seconds."""
+    def refuse(self, source: str, error: Exception, count: int = 1) -> None:
+        """Counts inputs that were refused and logs it, each reason at most every few seconds."""
         reason = getattr(error, "reason", type(error).__name__)
-        self.problems[reason] += 1
+        self.problems[reason] += count
         now = self.get_clock().now().nanoseconds
         if reason in self._logged and 0 <= now - self._logged[reason] < LOG_PERIOD * 1e9:
             return
@@ -299,6 +294,11 @@ class DopslamNode(Node):
         self.get_logger().warning(
             f"{source}: refused ({reason}, {self.problems[reason]} so far): {error}"
         )
+
+    def miss(self, topic: str, count: int) -> None:
+        """Counts and logs what the middleware lost."""
+        text = f"{count} messages are missing: send fewer, or give the node more processor"
+        self.refuse(topic, Refused(LOST, text), count)
 
     # --- diagnostics
 

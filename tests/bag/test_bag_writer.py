@@ -277,7 +277,7 @@ def test_flush_makes_everything_readable(tmp_path: Path) -> None:
 
 
 def test_old_chunks_are_finished_by_the_next_message(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", flush_seconds=0.05, fsync_seconds=0.0) as writer:
+    with BagWriter(tmp_path / "bag", flush_seconds=0.05, fsync_seconds=0.01) as writer:
         writer.add_topic("/state", UE_STATE)
         writer.write("/state", b"x", 1)
         time.sleep(0.06)

@@ -14,7 +14,7 @@ from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.core.simulator import simulate
 from dopslam_ros.messages import Frames, make_control, make_measurements
 from dopslam_ros.nodes.filter import FilterNode
-from dopslam_ros.nodes.runtime import middleware_class, qos_profile
+from dopslam_ros.nodes.runtime import READING_DEPTH, middleware_class, qos_profile
 
 if TYPE_CHECKING:
     from tests.conftest import Ros
@@ -74,3 +74,31 @@ def test_too_many_sets_at_once(ros: Ros) -> None:
     assert node.problems["overload_dropped"] == BURST - used
     values = dict(node.health()[2])
     assert values["sets_waiting"] == 0
+
+
+def test_what_the_middleware_lost_is_counted(ros: Ros) -> None:
+    """More come than its queue holds before the filter gets a turn: it says how many."""
+    node = ros.start(FilterNode)
+    feeder = ros.node("feeder")
+    publisher = feeder.create_publisher(
+        middleware_class(CONTROLS.type_name), CONTROLS.name, qos_profile(CONTROLS.qos)
+    )
+    ros.spin_until(lambda: publisher.get_subscription_count() == 1)
+
+    def send(first: int, count: int) -> None:
+        for k in range(first, first + count):
+            control = make_control(message_class, 10**9 + k * 10**6, Control(1.0, 0.0), Frames())
+            publisher.publish(serialize(control, CONTROLS.type_name))
+
+    used: list[int] = []
+    session, add = node._session, node._session.add_control
+    session.add_control = lambda stamp, *control: used.append(stamp) or add(stamp, *control)
+    send(0, 1)
+    ros.spin_until(lambda: len(used) == 1)
+    send(1, READING_DEPTH + 500)
+
+    def told() -> int:
+        return sum(node.problems[r] for r in ("lost_by_middleware", "overload_dropped_control"))
+
+    ros.spin_until(lambda: len(used) + told() == READING_DEPTH + 501)
+    assert node.problems["lost_by_middleware"] == 500

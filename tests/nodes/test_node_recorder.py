@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 import signal
 import subprocess
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -230,6 +232,81 @@ def test_a_signal_closes_the_bag(
     assert f"closed {bag}: {counted} messages" in recorder.stderr
     with AnyReader([bag], default_typestore=typestore()) as other:
         assert other.message_count == counted
+
+
+def test_a_killed_recorder_loses_at_most_a_second(
+    processes: Processes, ros: Ros, tmp_path: Path, wait: Callable[..., None]
+) -> None:
+    """SIGKILL in the middle of the stream; `dopslam recover` makes a bag of what was heard."""
+    processes.domain = ros.domain
+    bag, topic = tmp_path / "bag", topics.CHANNEL_MEASUREMENTS
+    recorder = processes.node("recorder", bag=bag)
+    recorder.wait_for("ready")
+    publisher = ros.node("car").create_publisher(
+        middleware_class(topic.type_name), topic.name, qos_profile(topic.qos)
+    )
+    ros.spin_until(lambda: publisher.get_subscription_count() == 1)
+    paths = MeasurementSet(np.ones((10, 6)), np.zeros((10, 6, 6)))
+    sent: dict[bytes, float] = {}
+
+    def send() -> None:
+        message = make_measurements(message_class, 10**9 + len(sent), paths, Frames())
+        payload = serialize(message, topic.type_name)
+        publisher.publish(payload)
+        sent[payload] = time.monotonic()
+        time.sleep(0.005)
+
+    end = time.monotonic() + 2.5
+    wait(lambda: time.monotonic() > end and _count(bag, topic) > 0, step=send)
+    killed = time.monotonic()
+    recorder.stop(signal.SIGKILL)
+    assert BagReader(bag).damage is not None
+    recovering = processes.dopslam("recover", bag, tmp_path / "saved")
+    assert recovering.wait() == 0, recovering.stderr
+    reader = BagReader(tmp_path / "saved")
+    assert reader.damage is None
+    found = [message.payload for message in reader.messages({full_name(topic)})]
+    assert found == list(sent)[: len(found)]  # all of them, up to where it ends
+    assert all(killed - at < 1.0 for at in list(sent.values())[len(found) :])
+    with AnyReader([tmp_path / "saved"], default_typestore=typestore()) as other:
+        assert other.message_count == reader.message_count
+
+
+def test_what_the_middleware_lost_is_counted(
+    processes: Processes, ros: Ros, tmp_path: Path
+) -> None:
+    """A recorder was held up while its publisher's queue ran over: it says how many are missing."""
+    processes.domain = ros.domain
+    bag, topic = tmp_path / "bag", topics.ODOMETRY_CONTROL
+    listener = ros.listen(topics.DIAGNOSTICS)
+    recorder = processes.node("recorder", bag=bag)
+    recorder.wait_for("ready")
+    publisher = ros.node("car").create_publisher(
+        middleware_class(topic.type_name), topic.name, qos_profile(topic.qos)
+    )
+    ros.spin_until(lambda: publisher.get_subscription_count() == 1)
+    numbers = itertools.count()
+
+    def send(count: int) -> None:
+        for _ in range(count):
+            message = make_control(message_class, 10**9 + next(numbers), Control(1, 0), Frames())
+            publisher.publish(serialize(message, topic.type_name))
+
+    def told() -> dict[str, str]:
+        statuses = [s for m in listener.messages(topics.DIAGNOSTICS) for s in m.status]
+        return {v.key: v.value for v in statuses[-1].values} if statuses else {}
+
+    send(10)
+    ros.spin_until(lambda: _count(bag, topic) == 10)
+    recorder.popen.send_signal(signal.SIGSTOP)
+    send(3 * topic.depth)
+    recorder.popen.send_signal(signal.SIGCONT)
+    send(10)
+    sent = next(numbers)
+    ros.spin_until(lambda: _count(bag, topic) + int(told().get("messages_lost", 0)) == sent)
+    assert int(told()["messages_lost"]) >= topic.depth
+    assert told()["problem.lost_by_middleware"] == told()["messages_lost"]
+    assert "lost_by_middleware" in recorder.stderr
 
 
 def test_an_existing_folder_ends_the_process(processes: Processes, tmp_path: Path) -> None:
