@@ -66,6 +66,7 @@ class FilterMessages:
         ue_height: height of the vehicle's antenna [m].
         frames: names of the frames.
         drawing: how often what is only drawn is sent.
+        transforms: whether the pose comes as a transform, too.
     """
 
     types: Types
@@ -73,6 +74,7 @@ class FilterMessages:
     ue_height: float = 0.0
     frames: Frames = field(default_factory=Frames)
     drawing: DrawingParameters = field(default_factory=DrawingParameters)
+    transforms: bool = False
 
     def __post_init__(self) -> None:
         self._poses: list[Any] = []
@@ -118,6 +120,8 @@ class FilterMessages:
         )
         yield topics.UE_STATE, make_ue_state(types, time_ns, mean, covariance, frames)
         yield topics.ODOMETRY, odometry
+        if self.transforms:
+            yield topics.TF, self._transform(header, pose)
         yield topics.LANDMARKS, make_map(types, time_ns, output.landmarks, self.bs, frames)
         if output.anew:
             self._poses.clear()
@@ -129,6 +133,18 @@ class FilterMessages:
             yield topics.PATH, path
         if self._due(topics.LANDMARK_MARKERS.name, time_ns, self.drawing.markers_period):
             yield topics.LANDMARK_MARKERS, self._markers(time_ns, output.landmarks)
+
+    def _transform(self, header: Any, pose: Any) -> Any:
+        """The vehicle's frame in that of the map."""
+        p, types = pose.position, self.types
+        transform = types("geometry_msgs/msg/Transform")(
+            translation=types("geometry_msgs/msg/Vector3")(x=p.x, y=p.y, z=p.z),
+            rotation=pose.orientation,
+        )
+        stamped = types("geometry_msgs/msg/TransformStamped")(
+            header=header, child_frame_id=self.frames.base, transform=transform
+        )
+        return types(topics.TF.type_name)(transforms=[stamped])
 
     def _due(self, what: str, time_ns: int, period: float) -> bool:
         """Whether the last one is long enough ago."""

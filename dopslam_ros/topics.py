@@ -51,6 +51,8 @@ LANDMARK_MARKERS = Topic(
     "landmark_markers", "visualization_msgs/msg/MarkerArray", latched=True, depth=1
 )
 BOUNDS = Topic("bounds", "dopslam_msgs/msg/ErrorBounds")
+# Shared by everybody, so that it is recorded only where it is asked for.
+TF = Topic("/tf", "tf2_msgs/msg/TFMessage", depth=100)
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", depth=100)
 
 INPUTS = (CHANNEL_MEASUREMENTS, ODOMETRY_CONTROL, TRUTH_UE, TRUTH_LANDMARKS)

@@ -40,6 +40,7 @@ LOG = VENV / "setup.log"
 
 PACKAGE = "dopslam_ros"
 MESSAGES = "dopslam_msgs"
+TRANSFORMS = "tf2_msgs"
 EXECUTABLES = ("simulator", "filter", "bounds", "recorder", "player", "dopslam")
 PYTHONS = ("3.12", "3.11")
 WHEEL_PINS = ROOT / "tools" / "ros-wheels.txt"
@@ -447,17 +448,23 @@ def numpy_include(ros: Ros) -> Path:
 
 
 def build_messages(ros: Ros) -> None:
-    """Generate the message package and install it into the environment."""
-    source = ROOT / "msg_defs"
+    """Generate our message package, and that of /tf where ROS comes from wheels, which lack it."""
+    build_package(ros, MESSAGES, ROOT / "msg_defs", "messages")
+    if not ros.sourced:
+        build_package(ros, TRANSFORMS, ROOT / "tools" / TRANSFORMS, "transforms")
+
+
+def build_package(ros: Ros, name: str, source: Path, what: str) -> None:
+    """Generate a message package and install it into the environment."""
     inputs = [WHEEL_PINS, *(path for path in source.rglob("*") if path.is_file())]
     key = digest(inputs, read_stamp("venv")["key"], numpy_version())
-    if is_done("messages", key):
+    if is_done(what, key):
         return
-    say(3, "generating the messages ...")
+    say(3, f"generating the {what} ...")
     check_machine()
     build = STATE / "build"
     shutil.rmtree(build, ignore_errors=True)
-    with stage("messages", key):
+    with stage(what, key):
         # Python3_ROOT_DIR and the rest keep CMake from preferring another Python of the machine.
         options = [
             f"-DCMAKE_INSTALL_PREFIX={VENV}",
@@ -469,22 +476,22 @@ def build_messages(ros: Ros) -> None:
             *(("-G", "Ninja") if shutil.which("ninja") else ()),
         ]
         configure = ["cmake", "-S", str(source), "-B", str(build), *options]
-        run(configure, ros, "Configuring the messages")
+        run(configure, ros, f"Configuring the {what}")
         jobs = str(os.cpu_count() or 1)
-        run(["cmake", "--build", str(build), "-j", jobs], ros, "Building the messages")
-        remove_messages()
-        run(["cmake", "--install", str(build)], ros, "Installing the messages")
+        run(["cmake", "--build", str(build), "-j", jobs], ros, f"Building the {what}")
+        remove_messages(name)
+        run(["cmake", "--install", str(build)], ros, f"Installing the {what}")
     shutil.rmtree(build, ignore_errors=True)
 
 
-def remove_messages() -> None:
+def remove_messages(name: str) -> None:
     """Remove what an earlier build has installed: a deleted message must not linger."""
     patterns = (
-        f"lib/python3*/site-packages/{MESSAGES}*",
-        f"lib/lib{MESSAGES}__*",
-        f"include/{MESSAGES}",
-        f"share/{MESSAGES}",
-        f"share/ament_index/resource_index/*/{MESSAGES}",
+        f"lib/python3*/site-packages/{name}*",
+        f"lib/lib{name}__*",
+        f"include/{name}",
+        f"share/{name}",
+        f"share/ament_index/resource_index/*/{name}",
     )
     for pattern in patterns:
         for path in list(VENV.glob(pattern)):

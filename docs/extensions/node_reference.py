@@ -37,6 +37,7 @@ DESCRIPTIONS = {
     topics.LANDMARKS: ("filter", "ids, types, existence, positions, covariances"),
     topics.LANDMARK_MARKERS: ("filter", "bodies and 95 % ellipsoids"),
     topics.BOUNDS: ("bounds", "PEB, HEB, CEB, LEB, with and without Doppler"),
+    topics.TF: ("filter", "the pose as a transform, with ``publish_tf``"),
     topics.DIAGNOSTICS: ("all", "what was processed and, by reason, what was refused"),
 }
 

@@ -30,6 +30,9 @@ class FilterNodeParameters(StorageParameters, DrawingParameters, FilterParameter
 
     map_frame: str = parameter("map", "Frame of everything that is estimated.")
     base_frame: str = parameter("base_link", "Frame of the vehicle.")
+    publish_tf: bool = parameter(
+        False, "Whether the pose is published on /tf, too, as the transform from map to base frame."
+    )
     most_waiting: int = parameter(
         100,
         "Sets, and controls, that may wait when they come faster than they can be processed. When"
@@ -53,9 +56,10 @@ class FilterNode(DopslamNode):
         warm_up_filter(p)  # the first set is not to wait for a compiler
         frames = Frames(p.map_frame, p.base_frame)
         self._messages = FilterMessages(
-            message_class, np.array(p.bs_position), p.ue_height, frames, p
+            message_class, np.array(p.bs_position), p.ue_height, frames, p, p.publish_tf
         )
-        self._outputs = {t.name: self.output(t) for t in topics.OUTPUTS if t != topics.BOUNDS}
+        wanted = (*topics.OUTPUTS, *((topics.TF,) if p.publish_tf else ()))
+        self._outputs = {t.name: self.output(t) for t in wanted if t != topics.BOUNDS}
         self._outputs[topics.FILTER_PARAMETERS.name].publish(
             make_text(message_class, commented_yaml(p))
         )

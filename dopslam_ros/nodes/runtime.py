@@ -188,8 +188,14 @@ class DopslamNode(Node):
 
     def output(self, topic: topics.Topic) -> Output:
         """A publisher with the topic's quality of service, which parameters may override."""
+        try:
+            kind = middleware_class(topic.type_name)
+        except ModuleNotFoundError as error:
+            package = topic.type_name.partition("/")[0]
+            remedy = f"apt install ros-jazzy-{package.replace('_', '-')}, or make setup"
+            raise StartError(f"the messages of '{package}' are not installed: {remedy}") from error
         publisher = self.create_publisher(
-            middleware_class(topic.type_name),
+            kind,
             topic.name,
             qos_profile(topic.qos),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),

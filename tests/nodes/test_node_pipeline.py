@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from dopslam_ros.core.session import BoundsParameters, BoundsSession
 from dopslam_ros.messages import Frames, make_bounds, read_map, read_ue_state, stamp_ns
 from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode
+from dopslam_ros.nodes.recorder import RecorderNode
 from dopslam_ros.nodes.runtime import Output, middleware_class, qos_profile
 from dopslam_ros.nodes.simulator import SimulatorNode
 
@@ -216,6 +218,37 @@ def test_bounds_at_the_estimate(ros: Ros, simulated: Path) -> None:
     stamps = [stamp_ns(m.header) for m in listener.messages(topics.UE_STATE)]
     assert [stamp_ns(m.header) for m in bounds] == stamps
     assert all(0.0 < m.peb < 2.0 for m in bounds)
+
+
+def test_the_pose_as_a_transform(
+    ros: Ros, scene: Path, tmp_path: Path, bag_payloads: Callable[..., list[bytes]]
+) -> None:
+    """With publish_tf, and recorded where it is asked for: what the odometry says."""
+    listener = ros.listen(topics.TF, topics.ODOMETRY)
+    recording = ros.start(RecorderNode, bag=str(tmp_path / "bag"), extra_topics="/tf")
+    node = ros.start(FilterNode, publish_tf=True, map_frame="world", base_frame="car")
+    ros.spin_until(
+        lambda: node.count_subscribers("/tf") == 2 and node.count_subscribers("odometry") == 2
+    )
+    ros.start(SimulatorNode, scenario=str(scene), rate=50.0, wait_for_nodes="filter,recorder")
+    ros.spin_until(lambda: listener.count(topics.TF) == STEPS == listener.count(topics.ODOMETRY))
+    said = zip(listener.messages(topics.TF), listener.messages(topics.ODOMETRY), strict=True)
+    for transforms, odometry in said:
+        (one,) = transforms.transforms
+        assert one.header == odometry.header and one.header.frame_id == "world"
+        assert one.child_frame_id == odometry.child_frame_id == "car"
+        moved, pose = one.transform.translation, odometry.pose.pose
+        assert (moved.x, moved.y, moved.z) == (pose.position.x, pose.position.y, pose.position.z)
+        assert one.transform.rotation == pose.orientation
+    ros.spin_until(lambda: BagReader(tmp_path / "bag").topics["/tf"].message_count == STEPS)
+    ros.remove(recording)
+    assert bag_payloads(tmp_path / "bag", topics.TF) == listener.bytes(topics.TF)
+
+
+def test_no_transform_unless_asked_for(ros: Ros) -> None:
+    """Somebody else may publish it."""
+    node = ros.start(FilterNode)
+    assert node.count_publishers("ue_state") == 1 and node.count_publishers("/tf") == 0
 
 
 def test_a_late_subscriber_gets_the_map(ros: Ros, scene: Path) -> None:

@@ -78,14 +78,15 @@ def created(ros: Ros, node: str, namespace: str) -> dict[str, set[str]]:
 def test_the_policy_is_what_the_nodes_do(
     ros: Ros, tmp_path: Path, scene: Path, node: str, namespace: str
 ) -> None:
-    """No topic or service more, none less; /clock is heard only with simulated time."""
+    """No topic or service more, none less; /clock is heard only with simulated time, /tf is
+    published only with publish_tf."""
     bag = tmp_path / "played"
     with BagWriter(bag) as writer:
         for topic in (topics.FILTER_EVENTS, *topics.INPUTS, *topics.OUTPUTS):
             writer.add_topic(f"{namespace.rstrip('/')}/{topic.name}", topic.type_name)
     kind, parameters = {
         "simulator": (SimulatorNode, {"scenario": str(scene), "wait_for_nodes": "nobody"}),
-        "filter": (FilterNode, {}),
+        "filter": (FilterNode, {"publish_tf": True}),
         "bounds": (BoundsNode, {}),
         "recorder": (RecorderNode, {"bag": str(tmp_path / "bag")}),
         "player": (PlayerNode, {"bag": str(bag), "outputs": True, "wait_for_nodes": "nobody"}),
