@@ -85,9 +85,10 @@ class Stream(Generic[Value]):
             return self.newest_ns is not None and self.round > instant.round
         return self.newest_ns - self._window_ns >= instant.stamp_ns
 
-    def forget(self, count: int) -> None:
-        """Drops the oldest messages."""
-        del self.times[:count], self.values[:count]
+    def forget(self, count: int, after: int = 0) -> None:
+        """Drops the oldest messages, but not so many that are older still."""
+        gone = slice(after, after + count)
+        del self.times[gone], self.values[gone]
 
     def end(self) -> None:
         """No more messages will come: what is kept aside is not confirmed."""
@@ -116,7 +117,7 @@ class Stream(Generic[Value]):
         if self.newest_ns is None:
             return
         time = Instant(self.round, stamp_ns)
-        if stamp_ns == self.newest_ns or time in self.times or time == passed:
+        if stamp_ns == self.newest_ns or self._has(time) or time == passed:
             raise Refused(
                 "duplicate_stamp",
                 f"there is a {self._kind} of {seconds(stamp_ns)} already: give each a stamp of its"
@@ -130,6 +131,10 @@ class Stream(Generic[Value]):
                 f" {seconds(self.newest_ns)}: send them in order, or set reorder_window"
                 f" ({self._window_ns * 1e-9:g} s) to the delay that must be waited for",
             )
+
+    def _has(self, time: Instant) -> bool:
+        at = bisect.bisect_left(self.times, time)
+        return at < len(self.times) and self.times[at] == time
 
     def _begin_at(self, stamp_ns: int, value: Value) -> None:
         """Takes the message after a jump."""

@@ -28,6 +28,9 @@ Item = TypeVar("Item")
 
 # Snapshots that wait for controls; more than this many and the oldest is released as it is.
 MOST_PENDING = 1000
+# So many controls before a snapshot are used, the newest; twice as many are kept while none comes.
+MOST_CONTROLS = 20_000
+UNUSED_CONTROL = "unused_control"
 # Plausible controls [m/s], [rad/s].
 FASTEST = 1e4
 FASTEST_TURN = 1e3
@@ -127,6 +130,10 @@ class Sequencer(Generic[Item]):
                 " linear.x and angular.z must be finite",
             )
         self._controls.add(stamp_ns, Control(speed, turn_rate))
+        if len(self._controls.times) > 2 * MOST_CONTROLS + 1:
+            self._controls.forget(1, after=1)  # the first one holds since the last snapshot
+            if self._last is not None:
+                self._controls.problems[UNUSED_CONTROL] += 1
 
     def add(self, stamp_ns: int, item: Item) -> None:
         """An item to release in its turn.
@@ -212,10 +219,15 @@ class Sequencer(Generic[Item]):
         return age > self._parameters.control_timeout
 
     def _spans(self, start: Instant, end: Instant) -> tuple[ControlSpan, ...]:
-        """The controls between two times; before the first one the vehicle is taken to stand."""
+        """The controls between two times; before the first one the vehicle is taken to stand.
+
+        Of more than MOST_CONTROLS the oldest are not used: the one before them is taken to hold.
+        """
         times = self._controls.times
         between = times[bisect.bisect_right(times, start) : bisect.bisect_left(times, end)]
-        edges = [start, *between, end]
+        if (excess := len(between) - MOST_CONTROLS) > 0:
+            self._controls.problems[UNUSED_CONTROL] += excess
+        edges = [start, *between[-MOST_CONTROLS:], end]
         return tuple(self._span(ahead, after) for ahead, after in itertools.pairwise(edges))
 
     def _span(self, start: Instant, end: Instant) -> ControlSpan:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dopslam_ros.core import sequence
 from dopslam_ros.core.model import OnlineParameters
 from dopslam_ros.core.motion import Control, ControlSpan, Drift
 from dopslam_ros.core.ordering import UNCONFIRMED
@@ -204,6 +205,39 @@ def test_old_controls_are_forgotten() -> None:
         sequencer.add_control(second * SECOND, 1.0, 0.0)
         assert len(_added(sequencer, second * SECOND, "x")) == 1
     assert len(sequencer.controls) < 5
+
+
+def test_controls_without_sets_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many come: twice the number that is used, and the one in force."""
+    monkeypatch.setattr(sequence, "MOST_CONTROLS", 50)
+    sequencer = sequencer_of(1e6)
+    for second in range(1000):
+        sequencer.add_control(second * SECOND, float(second), 0.0)
+    assert len(sequencer.controls) == 101
+    assert sequencer.controls[-1][0] == 999 * SECOND
+    assert not sequencer.take_problems()  # no set has missed them
+
+
+@pytest.mark.parametrize("arrival", [202, 210, 250, 300])
+def test_of_too_many_controls_the_newest_are_used(
+    arrival: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one in force holds until the first of them, whenever the set arrives among them."""
+    monkeypatch.setattr(sequence, "MOST_CONTROLS", 100)
+    sequencer = sequencer_of(1e6)
+    sequencer.add(0, "first")
+    released = []
+    for tick in range(301):
+        sequencer.add_control(tick * SECOND // 8, float(tick), 0.0)
+        if tick == arrival:
+            sequencer.add(25 * SECOND + SECOND // 16, "second")
+        released += sequencer.ready()
+    assert [timed.item for timed in released] == ["first", "second"]
+    spans = released[1].spans
+    assert [span.control.speed for span in spans] == [0.0, *map(float, range(101, 201))]
+    assert [span.duration for span in spans] == [101 / 8, *[1 / 8] * 99, 1 / 16]
+    assert released[1].complete
+    assert sequencer.take_problems() == {"unused_control": 100}
 
 
 def test_a_stamp_far_ahead_does_not_lock_out_the_rest() -> None:
