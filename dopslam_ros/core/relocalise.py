@@ -21,7 +21,7 @@ from dopslam_ros.core.filter import FilterParameters, FilterState, Step, placeme
 from dopslam_ros.core.filter.asleep import as_of_now, wake_up
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import UE, gates
-from dopslam_ros.core.filter.step import posterior, rank
+from dopslam_ros.core.filter.step import update
 from dopslam_ros.core.kernels import relocalise as kernels
 from dopslam_ros.core.kernels.records import Observed
 from dopslam_ros.core.measurements import MeasurementSet
@@ -104,12 +104,10 @@ def fixes(
         prior -= math.log(2.0 * math.pi * AREA)
         volume = 0.5 * float(np.linalg.slogdet(2.0 * math.pi * spreads[n])[1])
         here = wake_up(placed(base, poses[n], POINT * spreads[n]), parameters)
-        ranked = rank(here, observed, speed, parameters)
         # The linearisation and the associations are those at the solution, the prior is none.
         wide = placed(here, poses[n], np.diag(np.square(ANYWHERE)))
-        unborn = ranked.born._replace(kept=np.zeros_like(ranked.born.kept))
-        step = posterior(wide, ranked._replace(born=unborn), observed, parameters)
-        found.append(Fix(step, ranked.hypotheses.log_evidence + volume + prior))
+        step = update(here, wide, observed, speed, parameters, births=False)
+        found.append(Fix(step, step.associations.log_evidence + volume + prior))
     return sorted(found, key=lambda fix: -fix.log_evidence)
 
 

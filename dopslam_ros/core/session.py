@@ -30,8 +30,8 @@ from dopslam_ros.core.filter import (
     Mixture,
     landmarks_of,
 )
-from dopslam_ros.core.filter.state import UE
 from dopslam_ros.core.health import HEALTHY, Health
+from dopslam_ros.core.kernels.gaussian import is_gaussian
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import OnlineParameters, detection_probabilities, with_doppler_std
 from dopslam_ros.core.motion import Control
@@ -39,11 +39,6 @@ from dopslam_ros.core.parameters import parameter
 from dopslam_ros.core.recovery import watch_anew, watch_over, watched_step
 from dopslam_ros.core.sequence import Sequencer, Timed
 from dopslam_ros.core.steering import SteeredFilter
-
-# What rounding may do to a covariance: relative to its variances, and at all.
-ASYMMETRY, INDEFINITENESS, TINY = 1e-9, 1e-9, 1e-12
-# Covariances up to this size are factored to see whether they are one.
-MOST_FACTORED = 64
 
 # Time began anew, and with it everything that was estimated.
 BEGUN_ANEW = "reset_backward_jump"
@@ -180,32 +175,7 @@ class FilterSession(SteeredFilter):
 
 
 def _sound(state: Mixture) -> bool:
-    return all(
-        bool(np.isfinite(one.mean).all()) and _is_covariance(one.covariance)
-        for one in state.hypotheses
-    )
-
-
-def _is_covariance(matrix: FloatArray) -> bool:
-    """Finite, symmetric and positive definite, as far as rounding lets one tell.
-
-    Of a large one, whose factor would cost as much as the step, the vehicle's part is looked at,
-    and all variances.
-    """
-    variance = np.diagonal(matrix)
-    most = variance.max()
-    if not np.isfinite(matrix).all() or np.abs(matrix - matrix.T).max() > ASYMMETRY * most + TINY:
-        return False
-    if variance.min() < 0.0:
-        return False
-    raised = (matrix if len(matrix) <= MOST_FACTORED else matrix[:UE, :UE]).copy()
-    raised.flat[:: len(raised) + 1] *= 1.0 + INDEFINITENESS
-    raised.flat[:: len(raised) + 1] += TINY
-    try:
-        np.linalg.cholesky(raised)
-    except np.linalg.LinAlgError:
-        return False
-    return True
+    return all(is_gaussian(one.density.mean, one.density.covariance) for one in state.hypotheses)
 
 
 def _without_doppler(measurements: MeasurementSet) -> MeasurementSet:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dopslam_ros.core.filter.state import FilterParameters, FilterState
 from dopslam_ros.core.kernels import birth
+from dopslam_ros.core.kernels.compiled import exposed
 from dopslam_ros.core.kernels.records import Births, Observed
+
+_propose = exposed(birth.propose)
 
 
 def propose(
     state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
 ) -> Births:
     """``kernels.birth.propose``, which says what it does, for the vehicle of a state."""
-    return birth.propose(state.density, observed, float(speed), parameters.constants)
+    return _propose(state.density, observed, float(speed), parameters.constants)

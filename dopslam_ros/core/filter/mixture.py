@@ -18,7 +18,7 @@ from dopslam_ros.core.filter.state import (
     initial_filter_state,
 )
 from dopslam_ros.core.filter.step import NOT_POSITIVE, Associations, advance, step
-from dopslam_ros.core.kernels import step as kernels
+from dopslam_ros.core.kernels import mixture as kernels
 from dopslam_ros.core.kernels.records import Conditioned, Observed, Ranked
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import ControlSpan

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
-from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.filter.asleep import fall_asleep, wake_up
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import FilterParameters, FilterState
-from dopslam_ros.core.kernels import step as kernels
 from dopslam_ros.core.kernels.localise import localise
 from dopslam_ros.core.kernels.motion import predict as predict_arrays
-from dopslam_ros.core.kernels.records import Observed, Ranked
+from dopslam_ros.core.kernels.records import Observed
+from dopslam_ros.core.kernels.step import learn
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import ControlSpan, span_rows
 
@@ -88,38 +87,41 @@ def step(
     """
     predicted = advance(state, spans, parameters)
     observed = prepare(measurements, parameters)
-    return posterior(predicted, rank(predicted, observed, speed, parameters), observed, parameters)
+    return update(predicted, predicted, observed, speed, parameters)
 
 
-def rank(
-    predicted: FilterState, observed: Observed, speed: float, parameters: FilterParameters
-) -> Ranked:
-    """The first half of a step: how the paths may go with a predicted density."""
-    return kernels.rank(predicted.density, observed, float(speed), parameters.constants)
-
-
-def posterior(
-    predicted: FilterState, ranked: Ranked, observed: Observed, parameters: FilterParameters
+def update(
+    weighed: FilterState,
+    prior: FilterState,
+    observed: Observed,
+    speed: float,
+    parameters: FilterParameters,
+    births: bool = True,
 ) -> Step:
-    """The second half of a step: what follows from the associations.
+    """The part of a step that the paths have a say in.
+
+    Args:
+        weighed: the predicted density that says how the paths may go, and where to linearise.
+        prior: the one that is updated: the same, or one with the vehicle somewhere else.
+        observed: the paths.
+        speed: v at the snapshot [m/s].
+        parameters: models and settings.
+        births: whether there may be new landmarks.
 
     Raises:
         LinAlgError: an innovation's covariance is not positive definite.
     """
-    before, constants = predicted.density, parameters.constants
+    before, after, constants = weighed.density, prior.density, parameters.constants
     if parameters.mapping:
-        conditioned = kernels.continued(before, ranked, ranked.born.kept, observed, constants)
-        density, leaving = kernels.conclude(ranked.hypotheses.weight, conditioned, constants)
-        nis, sound = float(conditioned.updated.nis[0]), conditioned.updated.sound
-        ids, birth_track = conditioned.density.track_id, conditioned.birth_track
+        outcome = learn(before, after, births, observed, float(speed), constants)
     else:
-        density, leaving, nis, sound = localise(before, ranked, observed, constants)
-        ids, birth_track = before.track_id, np.full(len(observed.values), UNASSIGNED)
-    if not (sound and ranked.sound):
+        outcome = localise(before, after, observed, float(speed), constants)
+    if not outcome.sound:
         raise np.linalg.LinAlgError(NOT_POSITIVE)
-    named = kernels.name(ids, ranked, birth_track, nis, observed)
-    after = FilterState.of(density, predicted.asleep)
-    return Step(fall_asleep(after, parameters) if leaving else after, Associations(*named))
+    state = FilterState.of(outcome.density, prior.asleep)
+    if outcome.leaving:
+        state = fall_asleep(state, parameters)
+    return Step(state, Associations(*outcome.named))
 
 
 def advance(

@@ -8,7 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.kernels.channel import SP
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 from dopslam_ros.core.kernels.placement import place, place_jacobian
 from dopslam_ros.core.kernels.records import UE, Density
 
@@ -18,7 +18,7 @@ MARGIN = 5.0
 HYSTERESIS = 0.1
 
 
-@compiled
+@part
 def some_left_behind(density: Density, view: float) -> bool:
     """Whether there is any track that ``left_behind`` finds."""
     _, leaving = left_behind(density, view)

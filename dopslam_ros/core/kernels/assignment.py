@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 from dopslam_ros.core.kernels.matching import (
     FREE,
     OPEN,
@@ -53,7 +53,7 @@ class Ranking(NamedTuple):
     fixed: IntArray
 
 
-@compiled
+@part
 def insert(keys: FloatArray, tickets: IntArray, count: IntArray, key: float, ticket: int) -> None:
     """Puts a ticket behind those whose keys are not larger; from a full list the last falls off.
 
@@ -101,7 +101,7 @@ def cluster_heads(problem: Sparse, columns: int) -> IntArray:
     return head
 
 
-@compiled
+@part
 def cut_out(
     problem: Sparse, columns: int, head: IntArray, first: int
 ) -> tuple[Sparse, IntArray, IntArray]:
@@ -142,14 +142,14 @@ def cut_out(
     return Sparse(start, owner, column, cost), members, names[: used + 1]
 
 
-@compiled
+@part
 def wanted(ranking: Ranking, cost: float, limit: float) -> bool:
     """Whether a solution of this cost would be among the best so far."""
     last = len(ranking.cost) - 1
     return cost <= limit and (ranking.found[0] <= last or cost < ranking.cost[last])
 
 
-@compiled
+@part
 def keep(ranking: Ranking, solution: Solution, cost: float) -> int:
     """Adds a solution, in place of the last one where there is no room; tells its ticket."""
     size = len(ranking.cost)
@@ -162,7 +162,7 @@ def keep(ranking: Ranking, solution: Solution, cost: float) -> int:
     return int(at)
 
 
-@compiled
+@part
 def load(problem: Sparse, ranking: Ranking, at: int, solution: Solution) -> None:
     """Makes ``solution`` the one that was kept."""
     ground = ranking.price.shape[1]
@@ -177,7 +177,7 @@ def load(problem: Sparse, ranking: Ranking, at: int, solution: Solution) -> None
     price_rows(problem, solution)
 
 
-@compiled
+@part
 def forbid(allowed: Sparse, ranking: Ranking, at: int, row: int) -> None:
     """Takes from a row what it has in a solution and in those that this was split from there."""
     allowed.cost[ranking.pair[at, row]] = math.inf
@@ -186,7 +186,7 @@ def forbid(allowed: Sparse, ranking: Ranking, at: int, row: int) -> None:
         allowed.cost[ranking.pair[at, row]] = math.inf
 
 
-@compiled
+@part
 def split(
     problem: Sparse,
     allowed: Sparse,
@@ -229,7 +229,7 @@ def split(
             allowed.cost[pair] = problem.cost[pair]
 
 
-@compiled
+@part
 def rank_cluster(
     problem: Sparse, columns: int, k: int, slack: float
 ) -> tuple[IntArray, FloatArray]:
@@ -280,7 +280,7 @@ def rank_cluster(
     return chosen, ranking.cost[: ranking.found[0]]
 
 
-@compiled
+@part
 def combine(costs: FloatArray, more: FloatArray, k: int) -> tuple[FloatArray, IntArray]:
     """The k smallest sums of one of ``costs`` (A,) and one of ``more`` (B,), both ascending.
 

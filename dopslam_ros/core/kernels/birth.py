@@ -18,7 +18,7 @@ from dopslam_ros.core.kernels.channel import (
     unit,
     wrapped,
 )
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import part
 from dopslam_ros.core.kernels.detection import apart, detection_probability, log_share_left
 from dopslam_ros.core.kernels.incidence import incidence_points, to_virtual_anchor
 from dopslam_ros.core.kernels.records import UE, Births, Constants, Density, Observed
@@ -40,7 +40,7 @@ FLAT_WEIGHT = 1e-12
 LOG_2PI = math.log(2.0 * math.pi)
 
 
-@compiled
+@part
 def propose(density: Density, observed: Observed, speed: float, constants: Constants) -> Births:
     """Fits a landmark of each type to each path, the vehicle being uncertain.
 
@@ -116,7 +116,7 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
     return births
 
 
-@compiled
+@part
 def log_undetected(
     density: Density, position: FloatArray, kind: int, blur: float, constants: Constants
 ) -> float:
@@ -140,7 +140,7 @@ def log_undetected(
     return constants.log_undetected + share + math.log(seen)
 
 
-@compiled
+@part
 def fit(
     ue: FloatArray,
     ue_covariance: FloatArray,
@@ -201,7 +201,7 @@ def fit(
     return facing
 
 
-@compiled
+@part
 def linearise(
     ue_covariance: FloatArray,
     z: FloatArray,
@@ -260,7 +260,7 @@ def linearise(
     return True
 
 
-@compiled
+@part
 def add_prior(height_mean: float, height_std: float, height: float, normal: FloatArray) -> None:
     """Adds the prior of a position at some height [m] to its normal equations (4, 4)."""
     weight, off = 1.0 / (height_std * height_std), height_mean - height
@@ -271,7 +271,7 @@ def add_prior(height_mean: float, height_std: float, height: float, normal: Floa
     normal[3, 3] += weight * off * off
 
 
-@compiled
+@part
 def spread_out(
     a: FloatArray,
     root: FloatArray,
@@ -320,7 +320,7 @@ def spread_out(
     return variance < LARGEST_STD * LARGEST_STD
 
 
-@compiled
+@part
 def laplace(root: FloatArray, normal: FloatArray, used: BoolArray) -> float:
     """ln of the integral of the likelihood and the prior over the position.
 
@@ -341,7 +341,7 @@ def laplace(root: FloatArray, normal: FloatArray, used: BoolArray) -> float:
     return 0.5 * (volume - mismatch)
 
 
-@compiled
+@part
 def distance_std(
     ue: FloatArray, ue_height: float, position: FloatArray, covariance: FloatArray
 ) -> float:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 from dopslam_ros.core.kernels.records import UE
 from dopslam_ros.core.kernels.small import cholesky, forward_columns
 
@@ -73,7 +73,7 @@ def inform(
     return after, sound
 
 
-@compiled
+@part
 def whiten(
     a: FloatArray,
     b: FloatArray,
@@ -112,7 +112,7 @@ def whiten(
     return sound
 
 
-@compiled
+@part
 def add_products(rows: FloatArray, n: int, total: FloatArray) -> None:
     """Adds rows' rows, rows (m, n), to the lower triangle of total (n, n)."""
     for row in rows:
@@ -123,7 +123,7 @@ def add_products(rows: FloatArray, n: int, total: FloatArray) -> None:
                     into[j] += factor * row[j]
 
 
-@compiled
+@part
 def factorise(matrix: FloatArray) -> bool:
     """Replaces the lower triangle of (n, n) by its Cholesky factor, column by column.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 
 # The numbers of LandmarkType and of the measured components.
 BS, VA, SP = 0, 1, 2
@@ -14,7 +14,7 @@ DIM = 6
 SMALLEST_DISTANCE = 1e-6
 
 
-@compiled
+@part
 def observe_source(
     ue: FloatArray,
     speed: float,
@@ -120,7 +120,7 @@ def observe_sources(
         )
 
 
-@compiled
+@part
 def clear(a: FloatArray, b: FloatArray) -> None:
     """Sets A (6, 4) and B (6, 3) to zero."""
     for row in range(DIM):
@@ -128,7 +128,7 @@ def clear(a: FloatArray, b: FloatArray) -> None:
         b[row, 0] = b[row, 1] = b[row, 2] = 0.0
 
 
-@compiled
+@part
 def unit(x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Length of a vector, then its unit vector; one of no length points along x."""
     length = math.sqrt(x * x + y * y + z * z)
@@ -137,7 +137,7 @@ def unit(x: float, y: float, z: float) -> tuple[float, float, float, float]:
     return length, x / length, y / length, z / length
 
 
-@compiled
+@part
 def wrapped(angle: float) -> float:
     """An angle [rad] brought into (-pi, pi]; NaN stays NaN."""
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
@@ -151,7 +151,7 @@ def wrap_azimuths(differences: FloatArray) -> None:
         differences[m, 3] = wrapped(differences[m, 3])
 
 
-@compiled
+@part
 def angle_rows(
     x: float, y: float, z: float, distance: float, azimuth: FloatArray, elevation: FloatArray
 ) -> None:
@@ -174,7 +174,7 @@ def angle_rows(
         elevation[2] = ground / distance
 
 
-@compiled
+@part
 def arrival_rows(
     x: float,
     y: float,
@@ -211,7 +211,7 @@ def arrival_rows(
     a[5, 2] = y * cosine - x * sine
 
 
-@compiled
+@part
 def mirrored_rows(
     ux: float,
     uy: float,

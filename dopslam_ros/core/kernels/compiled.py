@@ -9,39 +9,48 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
+# Nobody calls these by a C function's pointer, which takes the compiler long to prepare.
+_njit: Any = partial(numba.njit, error_model="numpy", no_cfunc_wrapper=True)
 
 
 def compiled(function: F) -> F:
     """The function as machine code, made at the first call with arguments of new types."""
-    return _compiled(function)
-
-
-def part_of_one(function: F) -> F:
-    """A function that only one other calls, and the compiler makes a part of that one.
-
-    What is handed over are dozens of arrays: as functions of their own these take it twice as long.
-    """
-    return _compiled(function, inline="always")
-
-
-def _compiled(function: F, **more: Any) -> F:
-    # Nobody calls these by a C function's pointer, which takes the compiler long to prepare.
-    options: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, **more}
     settings: Any = numba.config
     before, settings.CACHE_DIR = settings.CACHE_DIR, str(cache_folder())
     try:
-        return cast(F, numba.njit(cache=True, **options)(function))
+        return cast(F, _njit(cache=True)(function))
     except RuntimeError:  # no folder can be written: compile in every process
-        return cast(F, numba.njit(**options)(function))
+        return cast(F, _njit()(function))
     finally:
         settings.CACHE_DIR = before
+
+
+def part(function: F) -> F:
+    """A function that only compiled ones may call: Python has no way in, and would crash.
+
+    Half of the machine code of a function of many arrays is that way in. ``exposed`` makes one.
+    """
+    return cast(F, _njit(no_cpython_wrapper=True)(function))
+
+
+def part_of_one(function: F) -> F:
+    """A part that only one other calls, and the compiler makes it a piece of that one.
+
+    What is handed over are dozens of arrays: as functions of their own these take it twice as long.
+    """
+    return cast(F, _njit(no_cpython_wrapper=True, inline="always")(function))
+
+
+def exposed(function: F) -> F:
+    """A part as a function that Python may call."""
+    return compiled(cast(F, cast(Any, function).py_func))
 
 
 @cache

@@ -8,7 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.kernels.channel import SP
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 
 # A distance that is better known than this [m] is as good as exact.
 SMALLEST_SPREAD = 1e-9
@@ -20,7 +20,7 @@ SPACING = 0.1
 MOST_VIEWPOINTS = 400
 
 
-@compiled
+@part
 def detection_probability(
     kind: int, distance: float, spread: float, probability: float, view: float
 ) -> float:
@@ -66,7 +66,7 @@ def detection_probabilities(
         detection[m] = detection_probability(types[m], distance, spread[m], probability, view)
 
 
-@compiled
+@part
 def log_share_left(
     looks: int,
     viewpoints: FloatArray,
@@ -104,7 +104,7 @@ def log_share_left(
     return max(total, least)
 
 
-@compiled
+@part
 def apart(x: float, y: float, z: float, position: FloatArray) -> float:
     """Distance of a point from position (3,) [m]."""
     dx, dy, dz = position[0] - x, position[1] - y, position[2] - z

@@ -9,7 +9,7 @@ import numpy as np
 from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.channel import AZIMUTHS, DIM
 from dopslam_ros.core.kernels.channel import BS, observe_source, unit, wrapped
-from dopslam_ros.core.kernels.compiled import compiled, part_of_one
+from dopslam_ros.core.kernels.compiled import compiled, part, part_of_one
 from dopslam_ros.core.kernels.detection import detection_probability
 from dopslam_ros.core.kernels.placement import place, place_jacobian
 from dopslam_ros.core.kernels.records import UE, Constants, Density, Evidence, Observed
@@ -155,7 +155,7 @@ def look_at_sources(
         )
 
 
-@compiled
+@part
 def project_one(
     a: FloatArray, b: FloatArray, source: int, covariance: FloatArray, projected: FloatArray
 ) -> None:
@@ -193,7 +193,7 @@ def project_one(
             projected[other, k] = total
 
 
-@compiled
+@part
 def log_likelihoods(
     projected: FloatArray,
     expected: FloatArray,

@@ -9,7 +9,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.kernels.assignment import insert, k_best
-from dopslam_ros.core.kernels.compiled import compiled, part_of_one
+from dopslam_ros.core.kernels.compiled import part, part_of_one
 from dopslam_ros.core.kernels.matching import FREE
 from dopslam_ros.core.kernels.records import (
     Births,
@@ -31,14 +31,14 @@ LOG_TINY = -700.0
 LOG_SMALLEST = -math.log(SMALLEST_SHARE)
 
 
-@compiled
+@part
 def log_add(a: float, b: float) -> float:
     """ln(e^a + e^b); either may be -inf."""
     high, low = max(a, b), min(a, b)
     return high if low == -math.inf else high + math.log1p(math.exp(low - high))
 
 
-@compiled
+@part
 def log_of(value: float, least: float) -> float:
     """ln(value), but not less than ``least``."""
     return max(math.log(value), least) if value > 0.0 else least
@@ -121,7 +121,7 @@ class Kept(NamedTuple):
     source: IntArray
 
 
-@compiled
+@part
 def choose(
     columns: IntArray,
     source: FloatArray,
@@ -163,7 +163,7 @@ def choose(
             choices.number[j] = 1
 
 
-@compiled
+@part
 def keep_best(association: int, cost: float, choices: Choices, kept: Kept) -> None:
     """Adds an association once per combination of its choices, where there is room for it."""
     paths, size = len(choices.number), len(kept.cost)
@@ -187,7 +187,7 @@ def keep_best(association: int, cost: float, choices: Choices, kept: Kept) -> No
             digit[turn] += 1
 
 
-@compiled
+@part
 def normalised(columns: IntArray, kept: Kept) -> tuple[IntArray, IntArray, FloatArray, float]:
     """The hypotheses kept of associations (A, J), as ``split_by_type`` returns them."""
     count, paths = kept.found[0], columns.shape[1]
@@ -206,7 +206,7 @@ def normalised(columns: IntArray, kept: Kept) -> tuple[IntArray, IntArray, Float
     return track, source, weight, math.log(total) - kept.cost[0] if count > 0 else -math.inf
 
 
-@compiled
+@part
 def split_by_type(
     columns: IntArray,
     costs: FloatArray,

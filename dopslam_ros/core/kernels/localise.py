@@ -17,24 +17,40 @@ from dopslam_ros.core.kernels.asleep import some_left_behind
 from dopslam_ros.core.kernels.channel import wrapped
 from dopslam_ros.core.kernels.compiled import compiled, part_of_one
 from dopslam_ros.core.kernels.merge import uncouple
-from dopslam_ros.core.kernels.records import UE, Constants, Density, Observed, Ranked, Updated
+from dopslam_ros.core.kernels.records import (
+    NONE,
+    UE,
+    Constants,
+    Density,
+    Observed,
+    Outcome,
+    Updated,
+)
+from dopslam_ros.core.kernels.step import name, rank
 from dopslam_ros.core.kernels.update import condition
 
 
 @compiled
 def localise(
-    density: Density, ranked: Ranked, observed: Observed, constants: Constants
-) -> tuple[Density, bool, float, bool]:
-    """What follows ``step.rank`` on a known map: what is not of it is of no interest.
+    weighed: Density, prior: Density, observed: Observed, speed: float, constants: Constants
+) -> Outcome:
+    """The step on a known map; paths that are not of it are of no interest.
 
-    Returns:
-        The density after the step, whether scattering points were left behind, the normalised
-        innovation squared of the likeliest association, and whether the arithmetic went well.
+    Args:
+        weighed: the predicted density that says how the paths may go, and where to linearise.
+        prior: the one that is updated: the same, or one with the vehicle somewhere else.
+        observed: the paths.
+        speed: v at the snapshot [m/s].
+        constants: of the filter.
     """
+    ranked = rank(weighed, observed, speed, constants)
     best = ranked.hypotheses
-    updated = condition(density.mean, density.covariance, ranked.evidence, observed, best.source)
-    after = consider(density, updated, best.weight, constants.joint)
-    return after, some_left_behind(after, constants.sight), updated.nis[0], updated.sound
+    updated = condition(prior.mean, prior.covariance, ranked.evidence, observed, best.source)
+    after = consider(prior, updated, best.weight, constants.joint)
+    unborn = np.full(len(observed.values), NONE)
+    named = name(prior.track_id, ranked, unborn, updated.nis[0], observed)
+    leaving = some_left_behind(after, constants.sight)
+    return Outcome(after, leaving, named, ranked.sound and updated.sound)
 
 
 @part_of_one

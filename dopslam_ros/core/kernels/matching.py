@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 
 # In place of a pair: the row was not given anything yet.
 OPEN = -1
@@ -95,7 +95,7 @@ def sparse(cost: FloatArray, idle: FloatArray) -> Sparse:
     return Sparse(start, row[:pair], column[:pair], finite[:pair])
 
 
-@compiled
+@part
 def reach(
     search: Search, solution: Solution, column: int, pair: int, distance: float, target: int
 ) -> None:
@@ -115,7 +115,7 @@ def reach(
         search.length[0] += 1
 
 
-@compiled
+@part
 def leave_row(
     problem: Sparse,
     solution: Solution,
@@ -134,7 +134,7 @@ def leave_row(
             reach(search, solution, column, pair, distance, target)
 
 
-@compiled
+@part
 def leave_ground(
     problem: Sparse, solution: Solution, search: Search, at: float, target: int, fixed: int
 ) -> None:
@@ -150,7 +150,7 @@ def leave_ground(
             leave_row(problem, solution, search, row, at, target, fixed)
 
 
-@compiled
+@part
 def cheapest(problem: Sparse, solution: Solution, row: int, fixed: int) -> float:
     """The cheapest that a row may have at these prices; inf where there is nothing."""
     best = math.inf
@@ -161,7 +161,7 @@ def cheapest(problem: Sparse, solution: Solution, row: int, fixed: int) -> float
     return best
 
 
-@compiled
+@part
 def shortest_path(
     problem: Sparse, solution: Solution, search: Search, row: int, target: int, fixed: int
 ) -> float:
@@ -205,7 +205,7 @@ def shortest_path(
     return math.inf
 
 
-@compiled
+@part
 def augment(
     problem: Sparse, solution: Solution, search: Search, row: int, target: int, fixed: int
 ) -> bool:
@@ -241,7 +241,7 @@ def augment(
         node = problem.column[left]
 
 
-@compiled
+@part
 def price_rows(problem: Sparse, solution: Solution) -> float:
     """Sets u to what each row pays at the prices of the columns.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.channel import DIM
-from dopslam_ros.core.kernels.compiled import compiled, part_of_one
+from dopslam_ros.core.kernels.compiled import compiled, part, part_of_one
 from dopslam_ros.core.kernels.records import NONE, UE, Conditioned, Constants, Density, Updated
 from dopslam_ros.core.kernels.update import add_row
 
@@ -158,7 +158,7 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
     )
 
 
-@compiled
+@part
 def kept_of(
     owner: IntArray, existence: FloatArray, share: FloatArray, constants: Constants
 ) -> tuple[IntArray, IntArray]:
@@ -184,7 +184,7 @@ def kept_of(
     return components[:kept], tracks[:count]
 
 
-@compiled
+@part
 def renumbered(owner: IntArray, components: IntArray, tracks: IntArray) -> IntArray:
     """Tracks (C,) of the components that are kept, numbered as the tracks that are kept."""
     new = np.empty(len(components), np.int64)
@@ -196,7 +196,7 @@ def renumbered(owner: IntArray, components: IntArray, tracks: IntArray) -> IntAr
     return new
 
 
-@compiled
+@part
 def moments(
     means: FloatArray, shares: FloatArray, index: IntArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -219,7 +219,7 @@ def moments(
     return mean, deviation
 
 
-@compiled
+@part
 def spread(
     updated: Updated, roots: FloatArray, deviation: FloatArray, index: IntArray, joint: bool
 ) -> FloatArray:
@@ -265,7 +265,7 @@ def spread(
     return covariance
 
 
-@compiled
+@part
 def weigh_together(roots: FloatArray, block: int, together: FloatArray) -> bool:
     """The weight that some hypotheses have between a block and those up to it.
 
@@ -292,7 +292,7 @@ def weigh_together(roots: FloatArray, block: int, together: FloatArray) -> bool:
     return own > 0.0
 
 
-@compiled
+@part
 def subtract_weighted(g: FloatArray, i: int, together: FloatArray, row: FloatArray) -> None:
     """Takes together (m,) times row i of W'W, W = g (6, n), from row (m,) up to column i."""
     begin = i + 1 - len(row)

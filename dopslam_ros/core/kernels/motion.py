@@ -8,7 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.kernels.channel import wrapped
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 
 
 @compiled
@@ -21,7 +21,7 @@ def chord(heading: float, speed: float, turn_rate: float, duration: float) -> tu
     return length * math.cos(heading + half), length * math.sin(heading + half)
 
 
-@compiled
+@part
 def move(state: FloatArray, speed: float, turn_rate: float, duration: float) -> tuple[float, float]:
     """Moves a state (4,) by f of eq. (1); returns its displacement x, y [m]."""
     dx, dy = chord(state[2], speed, turn_rate, duration)

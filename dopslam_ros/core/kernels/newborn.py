@@ -8,7 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.kernels.channel import SP, VA
-from dopslam_ros.core.kernels.compiled import compiled, part_of_one
+from dopslam_ros.core.kernels.compiled import part, part_of_one
 from dopslam_ros.core.kernels.placement import frames
 from dopslam_ros.core.kernels.records import (
     NONE,
@@ -47,7 +47,7 @@ def newborn(
     return Newborn(existence, kept)
 
 
-@compiled
+@part
 def select_births(
     log_intensity: FloatArray, kept: BoolArray, least: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
@@ -156,7 +156,7 @@ def augment(
     )
 
 
-@compiled
+@part
 def append(
     density: Density,
     births: Births,
@@ -213,7 +213,7 @@ def append(
     return mean, covariance
 
 
-@compiled
+@part
 def place_birth(
     covariance: FloatArray,
     offset: FloatArray,

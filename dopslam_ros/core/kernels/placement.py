@@ -6,7 +6,7 @@ import math
 
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.kernels.channel import SMALLEST_DISTANCE, unit
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 
 # A first axis that is this upright or more needs another helper than the vertical.
 UPRIGHT = 0.9
@@ -27,7 +27,7 @@ def frames(offset: FloatArray, axes: FloatArray) -> None:
         own[0, 2], own[1, 2], own[2, 2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
-@compiled
+@part
 def place(origin: FloatArray, axes: FloatArray, q: FloatArray, position: FloatArray) -> None:
     """Writes the position (3,) of the landmark q (3,) in the frame origin (3,), axes (3, 3)."""
     reach = q[0] / math.sqrt(1.0 + q[1] * q[1] + q[2] * q[2])
@@ -63,7 +63,7 @@ def placements(origin: FloatArray, axes: FloatArray, position: FloatArray, q: Fl
         q[m, 2] = (own[0, 2] * dx + own[1, 2] * dy + own[2, 2] * dz) / ahead
 
 
-@compiled
+@part
 def place_jacobian(axes: FloatArray, q: FloatArray, jacobian: FloatArray) -> None:
     """Writes the derivative (3, 3) of the position of q (3,) by q, in a frame with axes (3, 3)."""
     length = math.sqrt(1.0 + q[1] * q[1] + q[2] * q[2])

@@ -249,3 +249,19 @@ class Named(NamedTuple):
     sources: IntArray
     log_missed: FloatArray
     log_new: FloatArray
+
+
+class Outcome(NamedTuple):
+    """What a step leads to.
+
+    Attributes:
+        density: posterior.
+        leaving: whether scattering points were left behind.
+        named: the associations.
+        sound: whether the arithmetic went well.
+    """
+
+    density: Density
+    leaving: bool
+    named: Named
+    sound: bool

@@ -9,7 +9,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.kernels.channel import BS, DIM, VA, observe_source, unit, wrapped
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 from dopslam_ros.core.kernels.incidence import ray
 from dopslam_ros.core.kernels.matching import FREE
 from dopslam_ros.core.kernels.small import (
@@ -102,7 +102,7 @@ class Room(NamedTuple):
     place: IntArray
 
 
-@compiled
+@part
 def room() -> Room:
     """Work space."""
     return Room(
@@ -115,7 +115,7 @@ def room() -> Room:
     )
 
 
-@compiled
+@part
 def compare(
     pose: FloatArray, spread: FloatArray, world: World, m: int, heard: Heard, j: int, work: Room
 ) -> int:
@@ -174,7 +174,7 @@ def compare(
     return count
 
 
-@compiled
+@part
 def squared(vector: FloatArray, count: int) -> float:
     """Sum of the first squares."""
     total = 0.0
@@ -183,7 +183,7 @@ def squared(vector: FloatArray, count: int) -> float:
     return total
 
 
-@compiled
+@part
 def settle(
     pose: FloatArray,
     bias: FloatArray,
@@ -258,7 +258,7 @@ def settle(
     return cost
 
 
-@compiled
+@part
 def start_from(world: World, m: int, z: FloatArray, bias: FloatArray, pose: FloatArray) -> bool:
     """The pose (4,) at which a path z (6,) is that of the BS or a VA, or whether there is none.
 
@@ -297,7 +297,7 @@ def start_from(world: World, m: int, z: FloatArray, bias: FloatArray, pose: Floa
     return True
 
 
-@compiled
+@part
 def extend(
     pose: FloatArray,
     bias: FloatArray,
@@ -361,7 +361,7 @@ def extend(
     return total_odds(pose, bias, world, heard, given, spread, work)
 
 
-@compiled
+@part
 def drop_misfits(
     pose: FloatArray,
     bias: FloatArray,
@@ -395,7 +395,7 @@ def drop_misfits(
             return False
 
 
-@compiled
+@part
 def beyond(pose: FloatArray, spread: FloatArray, world: World, m: int) -> bool:
     """Whether an SP is out of view, five standard deviations granted."""
     if world.kind[m] == BS or world.kind[m] == VA:
@@ -412,7 +412,7 @@ def beyond(pose: FloatArray, spread: FloatArray, world: World, m: int) -> bool:
     return distance > reach
 
 
-@compiled
+@part
 def odds_of(
     pose: FloatArray, spread: FloatArray, world: World, m: int, heard: Heard, j: int, work: Room
 ) -> float:
@@ -426,7 +426,7 @@ def odds_of(
     return density
 
 
-@compiled
+@part
 def total_odds(
     pose: FloatArray,
     bias: FloatArray,

@@ -1,7 +1,4 @@
-"""The step in three calls: rank the associations, update under each, conclude.
-
-Not one call: the compiler would take twice as long for the whole as for the parts.
-"""
+"""The step: rank the associations, update under each, conclude."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.kernels.asleep import some_left_behind
 from dopslam_ros.core.kernels.birth import propose
 from dopslam_ros.core.kernels.channel import wrapped
-from dopslam_ros.core.kernels.compiled import compiled
+from dopslam_ros.core.kernels.compiled import compiled, part
 from dopslam_ros.core.kernels.detection import looked_from
 from dopslam_ros.core.kernels.evidence import weigh
 from dopslam_ros.core.kernels.hypotheses import associate, weigh_locally
@@ -25,13 +22,52 @@ from dopslam_ros.core.kernels.records import (
     Constants,
     Density,
     Named,
+    Newborn,
     Observed,
+    Outcome,
     Ranked,
 )
 from dopslam_ros.core.kernels.update import condition
 
 
 @compiled
+def learn(
+    weighed: Density,
+    prior: Density,
+    births: bool,
+    observed: Observed,
+    speed: float,
+    constants: Constants,
+) -> Outcome:
+    """The step of the PMB in one call: arrays that stay inside need not be made Python's.
+
+    Args:
+        weighed: the predicted density that says how the paths may go, and where to linearise.
+        prior: the one that is updated: the same, or one with the vehicle somewhere else.
+        births: whether there may be new landmarks.
+        observed: the paths.
+        speed: v at the snapshot [m/s].
+        constants: of the filter.
+    """
+    ranked = rank(weighed, observed, speed, constants)
+    if not births:
+        none = Newborn(ranked.born.existence, np.zeros(len(observed.values), np.bool_))
+        ranked = Ranked(
+            ranked.evidence, ranked.births, ranked.weights, ranked.hypotheses, none, ranked.sound
+        )
+    conditioned = continued(prior, ranked, ranked.born.kept, observed, constants)
+    after, leaving = conclude(ranked.hypotheses.weight, conditioned, constants)
+    named = name(
+        conditioned.density.track_id,
+        ranked,
+        conditioned.birth_track,
+        conditioned.updated.nis[0],
+        observed,
+    )
+    return Outcome(after, leaving, named, ranked.sound and conditioned.updated.sound)
+
+
+@part
 def rank(density: Density, observed: Observed, speed: float, constants: Constants) -> Ranked:
     """Weighs the paths against a predicted density and finds the best associations."""
     evidence, sound = weigh(density, observed, speed, constants)
@@ -43,7 +79,7 @@ def rank(density: Density, observed: Observed, speed: float, constants: Constant
     return Ranked(evidence, births, weights, best, born, sound)
 
 
-@compiled
+@part
 def continued(
     density: Density,
     ranked: Ranked,
@@ -59,7 +95,7 @@ def continued(
     return Conditioned(augmented, birth_track, updated, existence, type_weight)
 
 
-@compiled
+@part
 def conclude(
     weight: FloatArray, conditioned: Conditioned, constants: Constants
 ) -> tuple[Density, bool]:
@@ -97,7 +133,7 @@ def conclude(
     return after, some_left_behind(after, constants.sight)
 
 
-@compiled
+@part
 def name(
     track_id: IntArray,
     ranked: Ranked,

@@ -11,7 +11,7 @@ import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.channel import DIM
-from dopslam_ros.core.kernels.compiled import compiled, part_of_one
+from dopslam_ros.core.kernels.compiled import part, part_of_one
 from dopslam_ros.core.kernels.records import NONE, UE, Evidence, Observed, Updated
 from dopslam_ros.core.kernels.small import cholesky
 
@@ -19,7 +19,7 @@ from dopslam_ros.core.kernels.small import cholesky
 BLOCK = 8
 
 
-@compiled
+@part
 def project(
     mean: FloatArray,
     prior: FloatArray,
@@ -92,7 +92,7 @@ def project(
     return distance
 
 
-@compiled
+@part
 def add_row(factor: float, row: FloatArray, total: FloatArray) -> None:
     """total (n,) += factor row (n,)."""
     if factor != 0.0:
@@ -100,7 +100,7 @@ def add_row(factor: float, row: FloatArray, total: FloatArray) -> None:
             total[j] += factor * row[j]
 
 
-@compiled
+@part
 def subtract_earlier(
     g: FloatArray, column: int, a: FloatArray, b: FloatArray, row: FloatArray
 ) -> None:
@@ -125,7 +125,7 @@ def subtract_earlier(
     subtract_rows(g, f, row)
 
 
-@compiled
+@part
 def subtract_rows(g: FloatArray, f: FloatArray, row: FloatArray) -> None:
     """row (m,) -= f (6,) g (6, n), of which the first m columns count."""
     f0, f1, f2, f3, f4, f5 = f[0], f[1], f[2], f[3], f[4], f[5]
@@ -134,7 +134,7 @@ def subtract_rows(g: FloatArray, f: FloatArray, row: FloatArray) -> None:
         row[j] -= (f0 * g0[j] + f1 * g1[j] + f2 * g2[j]) + (f3 * g3[j] + f4 * g4[j] + f5 * g5[j])
 
 
-@compiled
+@part
 def work_in(covariance: FloatArray, gains: FloatArray, count: int) -> None:
     """Takes W'W of the first so many updates (B, 6, n) from a covariance (n, n)."""
     f = np.empty(DIM)
@@ -148,7 +148,7 @@ def work_in(covariance: FloatArray, gains: FloatArray, count: int) -> None:
             covariance[j, i] = row[j]
 
 
-@compiled
+@part
 def by_agreement(source: IntArray) -> tuple[IntArray, int]:
     """(J,) the paths, those first which many of the hypotheses (H, J) treat as the first one does.
 
@@ -170,7 +170,7 @@ def by_agreement(source: IntArray) -> tuple[IntArray, int]:
     return order, common
 
 
-@compiled
+@part
 def in_order(source: IntArray, order: IntArray) -> tuple[IntArray, IntArray]:
     """The hypotheses (H, J) sorted by their sources of the paths in some order.
 

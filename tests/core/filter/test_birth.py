@@ -16,9 +16,12 @@ from dopslam_ros.core.filter.birth import propose
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import UNKNOWN_TYPES
 from dopslam_ros.core.filter.undetected import looked_from, nothing_seen
-from dopslam_ros.core.kernels.incidence import incidence_points
+from dopslam_ros.core.kernels import incidence as incidence_kernels
+from dopslam_ros.core.kernels.compiled import exposed
 from dopslam_ros.core.kernels.records import Births
 from dopslam_ros.core.measurements import MeasurementSet
+
+incidence_points = exposed(incidence_kernels.incidence_points)
 
 SPEED = 22.22
 # A weak enough prior on the height that it does not move a landmark whose elevation is measured.

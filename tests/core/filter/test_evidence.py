@@ -16,9 +16,13 @@ from dopslam_ros.core.filter.birth import propose
 from dopslam_ros.core.filter.evidence import gaussian_terms, prepare
 from dopslam_ros.core.filter.placement import frames, placements, positions
 from dopslam_ros.core.kernels import evidence as kernels
-from dopslam_ros.core.kernels.hypotheses import weigh_locally
+from dopslam_ros.core.kernels import hypotheses as hypotheses_kernels
+from dopslam_ros.core.kernels.compiled import exposed
 from dopslam_ros.core.kernels.records import Births, Evidence, LocalWeights, Observed
 from dopslam_ros.core.measurements import MeasurementSet
+
+_weigh = exposed(kernels.weigh)
+weigh_locally = exposed(hypotheses_kernels.weigh_locally)
 
 PARAMETERS = FilterParameters(gate_probability=1.0 - 1e-12)
 SPEED = 22.22
@@ -37,7 +41,7 @@ def weigh(
     state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
 ) -> Evidence:
     """The evidence that a step has."""
-    fit, sound = kernels.weigh(state.density, observed, speed, parameters.constants)
+    fit, sound = _weigh(state.density, observed, speed, parameters.constants)
     assert sound
     return fit
 

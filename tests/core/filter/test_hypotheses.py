@@ -14,9 +14,13 @@ from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.kernels import hypotheses as kernels
+from dopslam_ros.core.kernels.compiled import exposed
 from dopslam_ros.core.kernels.hypotheses import LOG_TINY
 from dopslam_ros.core.kernels.records import Births, Evidence, Hypotheses, LocalWeights
 from dopslam_ros.core.measurements import MeasurementSet
+
+_associate = exposed(kernels.associate)
+weigh_locally = exposed(kernels.weigh_locally)
 
 PARAMETERS = FilterParameters(gamma=1000)
 
@@ -25,7 +29,7 @@ def associate(
     state: FilterState, weights: LocalWeights, parameters: FilterParameters
 ) -> Hypotheses:
     """The associations that a step has."""
-    return kernels.associate(state.component_track, weights, parameters.gamma)
+    return _associate(state.component_track, weights, parameters.gamma)
 
 
 def state_of(tracks: list[int]) -> FilterState:
@@ -191,7 +195,7 @@ def test_local_weights_of_what_is_sure_or_impossible() -> None:
         np.full((2, 2), -np.inf),
     )
     constants = replace(PARAMETERS, clutter_mean=0.0).constants
-    weights = kernels.weigh_locally(state.density, observed, fit, none, constants)
+    weights = weigh_locally(state.density, observed, fit, none, constants)
     np.testing.assert_array_equal(weights.missed, [LOG_TINY, 0.0, LOG_TINY, 0.0])
     np.testing.assert_array_equal(weights.new, [LOG_TINY, LOG_TINY])
     np.testing.assert_array_equal(weights.source[:, 0], [0.0, -np.inf, 0.0, -np.inf, -np.inf])

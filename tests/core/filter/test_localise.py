@@ -12,13 +12,18 @@ from dopslam_ros.core.filter import evidence as evidence_module
 from dopslam_ros.core.filter.known_map import map_of, with_map
 from dopslam_ros.core.filter.state import UE
 from dopslam_ros.core.filter.step import advance
-from dopslam_ros.core.kernels.localise import consider
-from dopslam_ros.core.kernels.step import rank
-from dopslam_ros.core.kernels.update import condition
+from dopslam_ros.core.kernels import localise as localise_kernels
+from dopslam_ros.core.kernels import step as step_kernels
+from dopslam_ros.core.kernels import update as update_kernels
+from dopslam_ros.core.kernels.compiled import exposed
 from dopslam_ros.core.motion import ControlSpan
 from dopslam_ros.core.scenario import Scenario, load_scenario
 from dopslam_ros.core.simulator import Snapshot, simulate
 from dopslam_ros.core.study import filter_parameters_for
+
+consider = exposed(localise_kernels.consider)
+rank = exposed(step_kernels.rank)
+condition = exposed(update_kernels.condition)
 
 SCENARIO = load_scenario("paper")
 PARAMETERS = filter_parameters_for(SCENARIO)

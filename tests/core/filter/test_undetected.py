@@ -9,7 +9,11 @@ import pytest
 
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.filter.undetected import Undetected, looked_from, nothing_seen
-from dopslam_ros.core.kernels.detection import MOST_VIEWPOINTS, log_share_left
+from dopslam_ros.core.kernels import detection as detection_kernels
+from dopslam_ros.core.kernels.compiled import exposed
+from dopslam_ros.core.kernels.detection import MOST_VIEWPOINTS
+
+log_share_left = exposed(detection_kernels.log_share_left)
 
 PARAMETERS = FilterParameters()
 FLOOR = 1e-3

@@ -14,8 +14,10 @@ from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.channel import DIM
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
 from dopslam_ros.core.filter.placement import frames
-from dopslam_ros.core.kernels.merge import judge, merge
-from dopslam_ros.core.kernels.newborn import augment, newborn
+from dopslam_ros.core.kernels import merge as merge_kernels
+from dopslam_ros.core.kernels import newborn as newborn_kernels
+from dopslam_ros.core.kernels import update as update_kernels
+from dopslam_ros.core.kernels.compiled import exposed
 from dopslam_ros.core.kernels.records import (
     Births,
     Conditioned,
@@ -25,7 +27,12 @@ from dopslam_ros.core.kernels.records import (
     Observed,
     Updated,
 )
-from dopslam_ros.core.kernels.update import condition
+
+judge = exposed(merge_kernels.judge)
+merge = exposed(merge_kernels.merge)
+augment = exposed(newborn_kernels.augment)
+newborn = exposed(newborn_kernels.newborn)
+condition = exposed(update_kernels.condition)
 
 PARAMETERS = FilterParameters()
 # What no hypothesis supports goes all the same.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,9 @@ from dopslam_ros.core.kernels.compiled import cache_folder
 
 COMPILES = """
 import numpy as np
-from dopslam_ros.core.kernels.small import cholesky
+from dopslam_ros.core.kernels.compiled import exposed
+from dopslam_ros.core.kernels import small
+cholesky = exposed(small.cholesky)
 assert cholesky(np.eye(2), 2)
 print(sum(cholesky.stats.cache_hits.values()))
 """
@@ -64,3 +67,43 @@ def test_the_folder_is_named_after_the_text_of_all_kernels(
         names.append(cache_folder().name)
     cache_folder.cache_clear()
     assert names[0] != names[1]
+
+
+def test_nobody_calls_a_part_from_python() -> None:
+    """It would crash the process: outside the kernels a part is exposed, or not mentioned."""
+    kernels = Path(module.__file__).parent
+    parts = {
+        (file.stem, node.name)
+        for file in kernels.glob("*.py")
+        for node in ast.parse(file.read_text("utf-8")).body
+        if isinstance(node, ast.FunctionDef)
+        and {"part", "part_of_one"} & {getattr(mark, "id", "") for mark in node.decorator_list}
+    }
+    assert ("small", "cholesky") in parts
+    root = kernels.parents[2]
+    for file in [*root.glob("dopslam_ros/**/*.py"), *root.glob("tests/**/*.py")]:
+        if file.parent != kernels:
+            assert not parts & mentioned(ast.parse(file.read_text("utf-8"))), file
+
+
+def mentioned(tree: ast.Module) -> set[tuple[str, str]]:
+    """Kernels (module, name) that a text names anywhere but as the argument of ``exposed``."""
+    package, found = module.__name__.rpartition(".")[0], set()
+    modules: dict[str, str] = {}
+    exposed = [
+        node.args[0]
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "exposed"
+    ]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module == package:
+            modules.update({alias.asname or alias.name: alias.name for alias in node.names})
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith(f"{package}."):
+            inner = str(node.module).rpartition(".")[2]
+            found.update((inner, alias.name) for alias in node.names)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and node not in exposed:
+            owner = modules.get(getattr(node.value, "id", ""))
+            if owner is not None:
+                found.add((owner, node.attr))
+    return found

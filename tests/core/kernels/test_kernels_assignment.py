@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dopslam_ros.core.kernels.assignment import combine, insert
+from dopslam_ros.core.kernels import assignment as assignment_kernels
+from dopslam_ros.core.kernels.compiled import exposed
+
+combine = exposed(assignment_kernels.combine)
+insert = exposed(assignment_kernels.insert)
 
 
 @pytest.mark.parametrize("size", [1, 3, 8, 30])

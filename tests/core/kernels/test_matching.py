@@ -7,16 +7,12 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from dopslam_ros.core.arrays import FloatArray
-from dopslam_ros.core.kernels.matching import (
-    FREE,
-    OPEN,
-    Search,
-    Solution,
-    Sparse,
-    augment,
-    price_rows,
-    sparse,
-)
+from dopslam_ros.core.kernels import matching as matching_kernels
+from dopslam_ros.core.kernels.compiled import exposed
+from dopslam_ros.core.kernels.matching import FREE, OPEN, Search, Solution, Sparse, sparse
+
+augment = exposed(matching_kernels.augment)
+price_rows = exposed(matching_kernels.price_rows)
 
 
 def nothing_given(rows: int, columns: int) -> tuple[Solution, Search]:

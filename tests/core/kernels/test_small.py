@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dopslam_ros.core.kernels.small import (
-    backward,
-    cholesky,
-    forward,
-    forward_columns,
-    log_determinant,
-)
+from dopslam_ros.core.kernels import small as small_kernels
+from dopslam_ros.core.kernels.compiled import exposed
+
+backward = exposed(small_kernels.backward)
+cholesky = exposed(small_kernels.cholesky)
+forward = exposed(small_kernels.forward)
+forward_columns = exposed(small_kernels.forward_columns)
+log_determinant = exposed(small_kernels.log_determinant)
 
 
 @pytest.mark.parametrize("n", range(1, 9))

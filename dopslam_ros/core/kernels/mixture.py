@@ -1,0 +1,11 @@
+"""The pieces of the step for a mixture, whose hypotheses exchange a word between them."""
+
+from __future__ import annotations
+
+from dopslam_ros.core.kernels import step
+from dopslam_ros.core.kernels.compiled import exposed
+
+rank = exposed(step.rank)
+continued = exposed(step.continued)
+conclude = exposed(step.conclude)
+name = exposed(step.name)
