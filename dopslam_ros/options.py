@@ -100,8 +100,9 @@ class Stop:
         self.asked = False
 
     def __call__(self, items: Iterable[T]) -> Iterator[T]:
-        """The same items, until Ctrl-C."""
-        if threading.current_thread() is not threading.main_thread():
+        """The same items, until Ctrl-C; all of them where that is ignored."""
+        ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+        if ignored or threading.current_thread() is not threading.main_thread():
             yield from items
             return
         before = signal.signal(signal.SIGINT, self._ask)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from dopslam_ros.core.evaluation import judge_step
 from dopslam_ros.core.model import with_doppler_std
 from dopslam_ros.core.scenario import Scenario
 from dopslam_ros.core.simulator import simulate
@@ -106,20 +108,28 @@ def test_a_task_that_fails_is_told(short: Scenario) -> None:
     assert "Traceback" in outcome.error
 
 
-def test_ctrl_c_within_a_compiled_function_is_no_failure(short: Scenario) -> None:
-    """Numba's dispatcher makes a SystemError of it; another SystemError stays one."""
+def test_ctrl_c_ends_a_run_between_two_steps(short: Scenario) -> None:
+    """An exception at any moment would crash the process in a compiled function."""
     plan, task = Plan(short, ("joint",), (0.1,), 1, 9), Task("joint", 0.1, 0)
+    steps: list[int] = []
 
-    def stop(*arguments: object) -> None:
-        raise SystemError("returned a result with an exception set") from cause
+    def judge(*arguments: object) -> object:
+        steps.append(1)
+        signal.raise_signal(signal.SIGINT)
+        return judge_step(*arguments)  # type: ignore[arg-type]
 
+    before = signal.getsignal(signal.SIGINT)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dopslam_ros.study.run.make_estimator", stop)
-        cause: BaseException = KeyboardInterrupt()
+        patch.setattr("dopslam_ros.study.run.judge_step", judge)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         with pytest.raises(KeyboardInterrupt):
             execute(plan, software(), task)
-        cause = ValueError()
-        assert "SystemError" in execute(plan, software(), task).error
+        assert len(steps) == 1
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the processes of a pool
+        try:
+            assert execute(plan, software(), task).part is not None
+        finally:
+            signal.signal(signal.SIGINT, before)
 
 
 def test_another_version_computes_nothing(short: Scenario) -> None:
