@@ -13,7 +13,8 @@ from dopslam_ros.core.filter.state import (
     FilterState,
     initial_filter_state,
 )
-from dopslam_ros.core.filter.step import Associations, Step, step
+from dopslam_ros.core.filter.step import Step, step
+from dopslam_ros.core.kernels.records import Associations
 
 __all__ = [
     "Associations",

@@ -17,9 +17,9 @@ from dopslam_ros.core.filter.state import (
     FilterState,
     initial_filter_state,
 )
-from dopslam_ros.core.filter.step import NOT_POSITIVE, Associations, advance, step
+from dopslam_ros.core.filter.step import NOT_POSITIVE, advance, step
 from dopslam_ros.core.kernels import mixture as kernels
-from dopslam_ros.core.kernels.records import Conditioned, Observed, Ranked
+from dopslam_ros.core.kernels.records import Associations, Conditioned, Observed, Ranked
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import ControlSpan
 
@@ -128,7 +128,8 @@ def mixture_step(
     if not all(one.sound for one in ranked) or not all(one.updated.sound for one in conditioned):
         raise np.linalg.LinAlgError(NOT_POSITIVE)
     log_prior = np.log(mixture.weight) + [one.hypotheses.log_evidence for one in ranked]
-    prior = np.exp(log_prior - logsumexp(log_prior))
+    log_evidence = float(logsumexp(log_prior))
+    prior = np.exp(log_prior - log_evidence)
     parts = [share * one.hypotheses.weight for share, one in zip(prior, ranked, strict=True)]
     weight = np.concatenate(parts)
     order = np.argsort(-weight, kind="stable")
@@ -146,7 +147,7 @@ def mixture_step(
         density, leaving = kernels.conclude(alone, conditioned[number], constants)
         state = FilterState.of(density, predicted[number].asleep)
         states.append(fall_asleep(state, parameters) if leaving else state)
-    associations = _pooled(ranked, conditioned, observed, weight, float(logsumexp(log_prior)))
+    associations = _pooled(ranked, conditioned, observed, weight, log_evidence)
     return MixtureStep(Mixture(tuple(states), weight[kept] / weight[kept].sum()), associations)
 
 
@@ -173,5 +174,4 @@ def _pooled(
     first = np.cumsum([0, *(len(one.weight) for one in each[:-1])])
     likeliest = each[int(np.argmax(weight[first]))]
     ids = np.concatenate([one.ids for one in each])
-    pooled = likeliest._replace(ids=ids, weight=weight, born=born, log_evidence=log_evidence)
-    return Associations(*pooled)
+    return likeliest._replace(ids=ids, weight=weight, born=born, log_evidence=log_evidence)

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.filter.asleep import fall_asleep, wake_up
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import FilterParameters, FilterState
 from dopslam_ros.core.kernels.localise import localise
 from dopslam_ros.core.kernels.motion import predict as predict_arrays
-from dopslam_ros.core.kernels.records import Observed
+from dopslam_ros.core.kernels.records import Associations, Observed
 from dopslam_ros.core.kernels.step import learn
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import ControlSpan, span_rows
@@ -21,36 +20,6 @@ from dopslam_ros.core.motion import ControlSpan, span_rows
 # Row 0 of the association problem is the BS, whose id is 0 as well.
 BS_ID = 0
 NOT_POSITIVE = "an innovation's covariance is not positive definite"
-
-
-@dataclass(frozen=True)
-class Associations:
-    """Which path came from where, in terms of landmark ids; for monitors and studies.
-
-    Attributes:
-        ids: (H, J) id of the landmark (0 the BS) each path was given to, or UNASSIGNED.
-        weight: (H,) normalised weights.
-        born: (J,) id of the landmark born from each path, or UNASSIGNED.
-        nis: normalised innovation squared v' S^-1 v of all paths that the likeliest hypothesis
-            gives to a landmark, jointly: S has their cross terms, v is in order of the update.
-        nis_dof: how many numbers these paths have; nis is 0 where it is 0, chi-squared with so
-            many degrees of freedom where filter, models and hypothesis are right.
-        log_evidence: ln of the sum of the hypotheses' weights before normalisation, how well the
-            set was foreseen: of all paths, clutter and misdetections included.
-        sources: (S,) ids of what could have been heard, the BS first.
-        log_missed: (S,) ln of the probability that it is not heard.
-        log_new: (J,) ln of the intensity of clutter and new landmarks at each path.
-    """
-
-    ids: IntArray
-    weight: FloatArray
-    born: IntArray
-    nis: float
-    nis_dof: int
-    log_evidence: float
-    sources: IntArray
-    log_missed: FloatArray
-    log_new: FloatArray
 
 
 @dataclass(frozen=True)
@@ -121,7 +90,7 @@ def update(
     state = FilterState.of(outcome.density, prior.asleep)
     if outcome.leaving:
         state = fall_asleep(state, parameters)
-    return Step(state, Associations(*outcome.named))
+    return Step(state, outcome.associations)
 
 
 def advance(

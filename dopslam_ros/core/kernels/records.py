@@ -237,8 +237,23 @@ class Conditioned(NamedTuple):
     type_weight: FloatArray
 
 
-class Named(NamedTuple):
-    """The fields of ``filter.step.Associations``, which says what they are."""
+class Associations(NamedTuple):
+    """Which path came from where, in terms of landmark ids; for monitors and studies.
+
+    Attributes:
+        ids: (H, J) id of the landmark (0 the BS) each path was given to, or UNASSIGNED.
+        weight: (H,) normalised weights.
+        born: (J,) id of the landmark born from each path, or UNASSIGNED.
+        nis: normalised innovation squared v' S^-1 v of all paths that the likeliest hypothesis
+            gives to a landmark, jointly: S has their cross terms, v is in order of the update.
+        nis_dof: how many numbers these paths have; nis is 0 where it is 0, chi-squared with so
+            many degrees of freedom where filter, models and hypothesis are right.
+        log_evidence: ln of the sum of the hypotheses' weights before normalisation, how well the
+            set was foreseen: of all paths, clutter and misdetections included.
+        sources: (S,) ids of what could have been heard, the BS first.
+        log_missed: (S,) ln of the probability that it is not heard.
+        log_new: (J,) ln of the intensity of clutter and new landmarks at each path.
+    """
 
     ids: IntArray
     weight: FloatArray
@@ -257,11 +272,11 @@ class Outcome(NamedTuple):
     Attributes:
         density: posterior.
         leaving: whether scattering points were left behind.
-        named: the associations.
+        associations: the hypotheses it was merged from.
         sound: whether the arithmetic went well.
     """
 
     density: Density
     leaving: bool
-    named: Named
+    associations: Associations
     sound: bool

@@ -18,10 +18,10 @@ from dopslam_ros.core.kernels.merge import judge, merge
 from dopslam_ros.core.kernels.newborn import augment, newborn
 from dopslam_ros.core.kernels.records import (
     NONE,
+    Associations,
     Conditioned,
     Constants,
     Density,
-    Named,
     Newborn,
     Observed,
     Outcome,
@@ -140,7 +140,7 @@ def name(
     birth_track: IntArray,
     nis: float,
     observed: Observed,
-) -> Named:
+) -> Associations:
     """The associations in terms of landmark ids.
 
     Args:
@@ -163,7 +163,7 @@ def name(
                 dof += observed.used[j, k]
     sources = np.zeros(len(weights.missed), np.int64)
     sources[1:] = track_id[: len(sources) - 1]
-    return Named(
+    return Associations(
         ids,
         best.weight,
         born,
