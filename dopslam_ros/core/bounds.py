@@ -8,17 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, floats
+from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, floats, integers
 from dopslam_ros.core.channel import DIM, DOPPLER, Paths
 from dopslam_ros.core.kernels import bounds as kernels
 from dopslam_ros.core.kernels.motion import predict
 from dopslam_ros.core.model import ModelParameters
 from dopslam_ros.core.motion import ControlSpan, span_rows
-
-# Standard deviation of a landmark before its first path [m]: no information, but invertible.
-DIFFUSE_STD = 1e4
-# A landmark whose bound is larger than this [m] is one that the measurements cannot locate.
-UNLOCATED = 0.1 * DIFFUSE_STD
 
 
 @dataclass(frozen=True)
@@ -113,45 +108,28 @@ def update_bound(
     Raises:
         LinAlgError: R is not positive definite.
     """
-    counted = np.where(paths.degenerate, 0.0, weights)
-    block, state = _blocks(state, ids[(counted > 0.0) & ~is_bs].tolist())
-    if not (counted > 0.0).any():
-        return state
-    count, at_bs = len(ids), is_bs.tolist()
-    start = np.array(
-        [-1 if bs else block.get(i, -1) for i, bs in zip(ids.tolist(), at_bs, strict=True)],
-        dtype=np.int64,
-    )
-    covariance, sound = kernels.inform(
+    covariance, known, sound = kernels.update(
         floats(state.covariance),
+        integers(state.ids),
         floats(paths.ue_jacobian),
         floats(paths.landmark_jacobian),
-        np.array(np.broadcast_to(used, (count, DIM)), dtype=np.bool_),
-        floats(np.broadcast_to(noise, (count, DIM, DIM))),
-        counted,
-        start,
+        paths.degenerate,
+        integers(ids),
+        is_bs,
+        floats(weights),
+        floats(noise).reshape(-1, DIM, DIM),
+        used.reshape(-1, DIM),
     )
     if not sound:
         raise np.linalg.LinAlgError("the measurement noise is not positive definite")
-    return BoundState(covariance, state.ids)
+    return BoundState(covariance, known)
 
 
 def bounds_of(state: BoundState, ids: IntArray) -> Bounds:
     """PEB, HEB, CEB and, for the landmarks asked for, LEB (below eq. 19)."""
-    variance = np.diagonal(state.covariance)
-    number = {landmark: i for i, landmark in enumerate(state.ids.tolist())}
-    leb = np.full(len(ids), np.inf)
-    for row, landmark in enumerate(ids.tolist()):
-        if landmark in number:
-            start = 4 + 3 * number[landmark]
-            bound = float(np.sqrt(variance[start : start + 3].sum()))
-            leb[row] = bound if bound < UNLOCATED else np.inf
-    return Bounds(
-        peb=float(np.sqrt(variance[0] + variance[1])),
-        heb=float(np.sqrt(variance[2])),
-        ceb=float(np.sqrt(variance[3])),
-        leb=leb,
-    )
+    leb = np.empty(len(ids))
+    covariance, known = floats(state.covariance), integers(state.ids)
+    return Bounds(*kernels.read_bounds(covariance, known, integers(ids), leb), leb)
 
 
 def information_split(paths: Paths, model: ModelParameters) -> InformationSplit:
@@ -169,21 +147,3 @@ def information_split(paths: Paths, model: ModelParameters) -> InformationSplit:
         landmark=information(paths.landmark_jacobian, ~doppler),
         landmark_doppler=information(paths.landmark_jacobian, doppler),
     )
-
-
-def _blocks(state: BoundState, seen: list[int]) -> tuple[dict[int, int], BoundState]:
-    """Where the blocks of the landmarks are, and the state with those of all that are seen.
-
-    Landmarks that are not in the state yet are appended with a diffuse prior.
-    """
-    block = {landmark: 4 + 3 * number for number, landmark in enumerate(state.ids.tolist())}
-    new = [landmark for landmark in seen if landmark not in block]
-    if not new:
-        return block, state
-    old = len(state.covariance)
-    covariance = np.zeros((old + 3 * len(new),) * 2)
-    covariance[:old, :old] = state.covariance
-    fresh = np.arange(old, len(covariance))
-    covariance[fresh, fresh] = DIFFUSE_STD**2
-    block.update({landmark: old + 3 * number for number, landmark in enumerate(new)})
-    return block, BoundState(covariance, np.concatenate([state.ids, new]).astype(np.int64))

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices, symmetrise, wrap_angle
-from dopslam_ros.core.bounds import DIFFUSE_STD
 from dopslam_ros.core.channel import DIM, LandmarkType, observe
 from dopslam_ros.core.filter import LandmarkEstimates, placement
 from dopslam_ros.core.filter.birth import propose
@@ -23,6 +22,7 @@ from dopslam_ros.core.filter.state import (
     FilterParameters,
     initial_filter_state,
 )
+from dopslam_ros.core.kernels.bounds import DIFFUSE_STD
 from dopslam_ros.core.kernels.records import Observed
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans

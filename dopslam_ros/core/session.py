@@ -40,6 +40,7 @@ from dopslam_ros.core.recovery import watch_anew, watch_over, watched_step
 from dopslam_ros.core.sequence import Sequencer, Timed
 from dopslam_ros.core.steering import SteeredFilter
 
+_BS = int(LandmarkType.BS)
 # Time began anew, and with it everything that was estimated.
 BEGUN_ANEW = "reset_backward_jump"
 
@@ -281,20 +282,20 @@ class BoundsSession:
             self._begin()
         world, model = timed.item, self.parameters
         # The BS takes part once, whether or not the map lists it.
-        listed = world.types != LandmarkType.BS
-        ids = np.concatenate([[-1], world.ids[listed]]).astype(np.int64)
-        types = np.concatenate([[int(LandmarkType.BS)], world.types[listed]]).astype(np.int64)
-        positions = np.vstack([model.bs, world.positions[listed]])
+        listed = world.types != _BS
+        ids = np.concatenate(([-1], world.ids[listed]))
+        types = np.concatenate(([_BS], world.types[listed]))
+        positions = np.concatenate((model.bs[None], world.positions[listed]))
         speed = timed.control.speed if timed.control else 0.0
         paths = observe(world.ue, speed, positions, types, model.bs, model.ue_height)
         if world.detected is None:
-            ue = np.append(world.ue[:2], model.ue_height)
+            ue = np.array([world.ue[0], world.ue[1], model.ue_height])
             chance = detection_probabilities(model, ue, positions, types) * paths.facing
         else:
-            known = world.detected.astype(np.float64)
-            chance = np.concatenate([[known[~listed].max(initial=0.0)], known[listed]])
+            of_bs = world.detected[~listed].max(initial=0)
+            chance = np.concatenate(([of_bs], world.detected[listed]))
 
-        results = []
+        results, is_bs = [], ids == -1
         for number, variant in enumerate(self._models):
             state = self._states[number]
             if self._ue is not None:
@@ -302,7 +303,7 @@ class BoundsSession:
             used = variant.used_components
             if timed.control is None or timed.stale:
                 used = used & (np.arange(len(used)) != DOPPLER)
-            state = update_bound(state, paths, ids, ids == -1, chance, variant.noise, used)
+            state = update_bound(state, paths, ids, is_bs, chance, variant.noise, used)
             self._states[number] = state
             results.append(bounds_of(state, ids[1:]))
         self._ue = world.ue

@@ -1,4 +1,4 @@
-"""The information that a set of paths brings."""
+"""The recursion of the bounds: the information that a set of paths brings."""
 
 from __future__ import annotations
 
@@ -11,8 +11,97 @@ from dopslam_ros.core.kernels.compiled import compiled, part
 from dopslam_ros.core.kernels.records import UE
 from dopslam_ros.core.kernels.small import cholesky, forward_columns
 
+# Standard deviation of a landmark before its first path [m]: no information, but invertible.
+DIFFUSE_STD = 1e4
+# A landmark whose bound is larger than this [m] is one that the measurements cannot locate.
+UNLOCATED = 0.1 * DIFFUSE_STD
+
 
 @compiled
+def update(
+    covariance: FloatArray,
+    known: IntArray,
+    a: FloatArray,
+    b: FloatArray,
+    degenerate: BoolArray,
+    ids: IntArray,
+    is_bs: BoolArray,
+    weights: FloatArray,
+    noise: FloatArray,
+    used: BoolArray,
+) -> tuple[FloatArray, IntArray, bool]:
+    """``inform`` where landmarks are told by their ids, and those seen first are appended.
+
+    Args:
+        covariance: (n, n) P, the vehicle first.
+        known: (L,) ids of the landmarks in it, in the order of their blocks.
+        a: (M, 6, 4) Jacobians by the vehicle.
+        b: (M, 6, 3) by the landmarks.
+        degenerate: (M,) paths without an answer, which bring nothing.
+        ids: (M,) of the landmarks.
+        is_bs: (M,) the landmark has no block.
+        weights: (M,) share of the information that counts.
+        noise: (1 or M, 6, 6) R, of all or of each.
+        used: (1 or M, 6) components, of all or of each.
+
+    Returns:
+        Covariance and ids after it, and whether what was to be inverted was positive definite.
+    """
+    count, filled = len(ids), len(known)
+    blocks = np.empty(filled + count, np.int64)
+    blocks[:filled] = known
+    counted, start = np.zeros(count), np.full(count, -1)
+    for m in range(count):
+        if degenerate[m] or not weights[m] > 0.0:
+            continue
+        counted[m] = weights[m]
+        if not is_bs[m]:
+            place = place_of(blocks, filled, ids[m])
+            if place == filled:
+                blocks[filled] = ids[m]
+                filled += 1
+            start[m] = UE + 3 * place
+    if not counted.any():
+        return covariance, known, True
+    old = len(covariance)
+    grown = np.zeros((UE + 3 * filled, UE + 3 * filled))
+    grown[:old, :old] = covariance
+    for i in range(old, len(grown)):
+        grown[i, i] = DIFFUSE_STD**2
+    after, sound = inform(grown, a, b, used, noise, counted, start)
+    return after, blocks[:filled].copy(), sound
+
+
+@compiled
+def read_bounds(
+    covariance: FloatArray, known: IntArray, ids: IntArray, leb: FloatArray
+) -> tuple[float, float, float]:
+    """PEB, HEB and CEB of a covariance (n, n); writes LEB of landmarks (M,) into leb (M,).
+
+    Infinity for one that is not among those known (L,), or is not located.
+    """
+    for m in range(len(ids)):
+        place, leb[m] = place_of(known, len(known), ids[m]), math.inf
+        if place < len(known):
+            at = UE + 3 * place
+            variance = covariance[at, at] + covariance[at + 1, at + 1]
+            bound = math.sqrt(variance + covariance[at + 2, at + 2])
+            if bound < UNLOCATED:
+                leb[m] = bound
+    peb = math.sqrt(covariance[0, 0] + covariance[1, 1])
+    return peb, math.sqrt(covariance[2, 2]), math.sqrt(covariance[3, 3])
+
+
+@part
+def place_of(ids: IntArray, count: int, wanted: int) -> int:
+    """Where an id is among the first of ids; count if it is not."""
+    for place in range(count):
+        if ids[place] == wanted:
+            return place
+    return count
+
+
+@part
 def inform(
     covariance: FloatArray,
     a: FloatArray,
@@ -31,8 +120,8 @@ def inform(
         covariance: (n, n) P, the vehicle first.
         a: (M, 6, 4) Jacobians by the vehicle.
         b: (M, 6, 3) by the landmarks.
-        used: (M, 6) components that each path has.
-        noise: (M, 6, 6) R.
+        used: (1 or M, 6) components that the paths have.
+        noise: (1 or M, 6, 6) R.
         weights: (M,) w; a path whose weight is zero brings nothing.
         start: (M,) index of the landmark's block, -1 for one that has none.
 
@@ -46,9 +135,8 @@ def inform(
     rows = np.empty((a.shape[1], n))
     for m in range(len(weights)):
         if weights[m] > 0.0:
-            sound = (
-                whiten(a[m], b[m], used[m], noise[m], weights[m], start[m], root, rows) and sound
-            )
+            mask, r = used[m % len(used)], noise[m % len(noise)]
+            sound = whiten(a[m], b[m], mask, r, weights[m], start[m], root, rows) and sound
             add_products(rows, n, inner)
     sound = factorise(inner) and sound
     # X = C^-1 L', of which only the upper triangle is not zero.
