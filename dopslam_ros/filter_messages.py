@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dopslam_ros import topics
 from dopslam_ros.core.arrays import FloatArray
@@ -32,11 +31,27 @@ from dopslam_ros.messages import (
 # The ellipsoids that are drawn hold the landmark with this probability.
 ELLIPSOID_PROBABILITY = 0.95
 _STDS = math.sqrt(float(chi_square(ELLIPSOID_PROBABILITY, 3)))
-_UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-COLOURS = {
-    LandmarkType.BS: (0.1, 0.1, 0.1),
-    LandmarkType.VA: (0.0, 0.45, 0.7),
-    LandmarkType.SP: (0.85, 0.37, 0.0),
+_ELLIPSOID_OPACITY = 0.25
+# Of each axis the two others, in the order in which a rotation takes the first to the second.
+_BEFORE, _AFTER = [1, 2, 0], [2, 0, 1]
+# What of a pose in space is estimated.
+_PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+
+
+class Look(NamedTuple):
+    """How a type of landmarks is drawn: shape of the body, its size [m], colour."""
+
+    name: str
+    shape: int
+    size: float
+    colour: tuple[float, float, float]
+
+
+_BALL = 2
+LOOKS = {
+    int(LandmarkType.BS): Look("BS", 3, 4.0, (0.1, 0.1, 0.1)),
+    int(LandmarkType.VA): Look("VA", 1, 3.0, (0.0, 0.45, 0.7)),
+    int(LandmarkType.SP): Look("SP", _BALL, 2.0, (0.85, 0.37, 0.0)),
 }
 
 
@@ -77,13 +92,22 @@ class FilterMessages:
     transforms: bool = False
 
     def __post_init__(self) -> None:
+        self._bs: tuple[float, ...] = tuple(map(float, self.bs))
         self._poses: list[Any] = []
         self._sent: dict[str, int] = {}
         self._shown: set[tuple[str, int]] = set()
         # What every marker has and none uses.
         types = self.types
-        self._unused = {
+        self._unused: dict[str, Any] = {
             "lifetime": types("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
+            "frame_locked": False,
+            "points": [],
+            "colors": [],
+            "texture_resource": "",
+            "uv_coordinates": [],
+            "text": "",
+            "mesh_resource": "",
+            "mesh_use_embedded_materials": False,
             "texture": types("sensor_msgs/msg/CompressedImage")(
                 header=make_header(types, 0, ""), format="", data=np.zeros(0, np.uint8)
             ),
@@ -155,7 +179,7 @@ class FilterMessages:
         return due
 
     def _pose(self, mean: FloatArray) -> Any:
-        x, y, heading, _ = (float(v) for v in mean)
+        x, y, heading, _ = mean.tolist()
         return self.types("geometry_msgs/msg/Pose")(
             position=make_point(self.types, (x, y, self.ue_height)),
             orientation=make_quaternion(
@@ -166,19 +190,25 @@ class FilterMessages:
     def _markers(self, time_ns: int, landmarks: LandmarkEstimates) -> Any:
         """A solid body and an ellipsoid per landmark; DELETE for what is gone."""
         header = make_header(self.types, time_ns, self.frames.map)
+        bs = ("BS", BS_ID)
+        markers, shown = [self._body(header, bs, LOOKS[LandmarkType.BS], self._bs, 1.0)], {bs}
         sizes, rotations = _ellipsoids(landmarks.covariances)
-        key = (LandmarkType.BS.name, BS_ID)
-        markers = [self._body(header, LandmarkType.BS, key, self.bs, 1.0)]
-        shown = {key}
-        for number, landmark in enumerate(landmarks.ids.tolist()):
-            kind = LandmarkType(int(landmarks.types[number]))
-            body, ellipsoid = (kind.name, landmark), (f"{kind.name}_ellipsoid", landmark)
+        for landmark, kind, position, existence, size, rotation in zip(
+            landmarks.ids.tolist(),
+            landmarks.types.tolist(),
+            landmarks.positions.tolist(),
+            landmarks.existence.tolist(),
+            sizes.tolist(),
+            rotations.tolist(),
+            strict=True,
+        ):
+            look = LOOKS[kind]
+            body, ellipsoid = (look.name, landmark), (f"{look.name}_ellipsoid", landmark)
             shown |= {body, ellipsoid}
-            position, existence = landmarks.positions[number], float(landmarks.existence[number])
-            size, rotation, colour = sizes[number], rotations[number], (*COLOURS[kind], 0.25)
+            colour = (*look.colour, _ELLIPSOID_OPACITY)
             markers += [
-                self._body(header, kind, body, position, existence),
-                self._marker(header, ellipsoid, 2, position, size, colour, rotation),
+                self._body(header, body, look, position, existence),
+                self._marker(header, ellipsoid, _BALL, position, size, colour, rotation),
             ]
         gone = sorted(self._shown - shown)
         self._shown = shown
@@ -188,31 +218,28 @@ class FilterMessages:
     def _body(
         self,
         header: Any,
-        kind: LandmarkType,
         key: tuple[str, int],
-        position: FloatArray,
+        look: Look,
+        position: Sequence[float],
         existence: float,
     ) -> Any:
-        size = {LandmarkType.BS: 4.0, LandmarkType.VA: 3.0, LandmarkType.SP: 2.0}[kind]
-        shape = 3 if kind == LandmarkType.BS else 1 if kind == LandmarkType.VA else 2
-        return self._marker(
-            header, key, shape, position, (size, size, size), (*COLOURS[kind], existence)
-        )
+        size, colour = (look.size,) * 3, (*look.colour, existence)
+        return self._marker(header, key, look.shape, position, size, colour)
 
     def _marker(
         self,
         header: Any,
         key: tuple[str, int],
-        shape: int = 2,
-        position: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
-        size: Sequence[float] | FloatArray = (1.0, 1.0, 1.0),
+        shape: int = _BALL,
+        position: Sequence[float] = (0.0, 0.0, 0.0),
+        size: Sequence[float] = (1.0, 1.0, 1.0),
         colour: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-        rotation: Sequence[float] | FloatArray = _UPRIGHT,
+        rotation: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
         action: int = 0,
     ) -> Any:
         types = self.types
-        x, y, z = (float(v) for v in size)
-        r, g, b, a = (float(v) for v in colour)
+        x, y, z = size
+        r, g, b, a = colour
         return types("visualization_msgs/msg/Marker")(
             header=header,
             ns=key[0],
@@ -225,31 +252,36 @@ class FilterMessages:
             ),
             scale=types("geometry_msgs/msg/Vector3")(x=x, y=y, z=z),
             color=types("std_msgs/msg/ColorRGBA")(r=r, g=g, b=b, a=a),
-            frame_locked=False,
-            points=[],
-            colors=[],
-            texture_resource="",
-            uv_coordinates=[],
-            text="",
-            mesh_resource="",
-            mesh_use_embedded_materials=False,
             **self._unused,
         )
 
 
 def _ellipsoids(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(L, 3) diameters [m] and (L, 4) quaternions of the regions of ELLIPSOID_PROBABILITY."""
-    if not len(covariances):
-        return np.zeros((0, 3)), np.zeros((0, 4))
     variances, axes = np.linalg.eigh(covariances)
-    axes = axes * np.sign(np.linalg.det(axes))[:, None, None]
+    axes *= np.sign(np.linalg.det(axes))[:, None, None]
     size = 2.0 * _STDS * np.sqrt(np.maximum(variances, 0.0))
-    return np.maximum(size, 1e-3), Rotation.from_matrix(axes).as_quat()
+    return np.maximum(size, 1e-3), quaternions(axes)
+
+
+def quaternions(rotations: FloatArray) -> FloatArray:
+    """(L, 4) x, y, z, w of rotations (L, 3, 3): the longest row of 4 q q', with length one."""
+    count = len(rotations)
+    diagonal = rotations.reshape(count, 9)[:, ::4]
+    trace = diagonal[:, 0] + diagonal[:, 1] + diagonal[:, 2]
+    products = np.empty((count, 4, 4))
+    products[:, :3, :3] = rotations + rotations.swapaxes(1, 2)
+    turned = rotations[:, _AFTER, _BEFORE] - rotations[:, _BEFORE, _AFTER]
+    products[:, :3, 3] = products[:, 3, :3] = turned
+    products.reshape(count, 16)[:, :15:5] += (1.0 - trace)[:, None]
+    products[:, 3, 3] = 1.0 + trace
+    longest = np.column_stack((diagonal, trace)).argmax(axis=1)
+    row = products[np.arange(count), longest]
+    return row / np.sqrt(np.square(row).sum(axis=1, keepdims=True))
 
 
 def _pose_covariance(covariance: FloatArray) -> FloatArray:
     """(36,) row-major over x, y, z, roll, pitch, yaw (REP-103) from (4, 4); the rest is known."""
     pose = np.zeros((6, 6))
-    index = [0, 1, 5]
-    pose[np.ix_(index, index)] = covariance[:3, :3]
+    pose[_PLANAR] = covariance[:3, :3]
     return pose.reshape(-1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from dopslam_ros.core.refusal import Refused
 from dopslam_ros.core.session import BoundsOutput, WorldState
 
 Types = Callable[[str], Any]
+_components = attrgetter(*COMPONENTS)
 NANO = 1_000_000_000
 BS_ID = 0
 # Longest set [bytes] that is looked into: more than MOST_PATHS paths take.
@@ -97,7 +99,7 @@ def read_measurements(message: Any) -> MeasurementSet:
     paths = message.paths
     if len(paths) > MOST_PATHS:
         raise InvalidMessage("too_many_paths", f"{len(paths)} paths: at most {MOST_PATHS} are used")
-    values = np.array([[getattr(p, name) for name in COMPONENTS] for p in paths], dtype=np.float64)
+    values = np.array(list(map(_components, paths)), dtype=np.float64)
     covariances = np.array([p.covariance for p in paths], dtype=np.float64)
     return checked_measurements(values.reshape(-1, DIM), covariances.reshape(-1, DIM, DIM))
 
@@ -135,7 +137,7 @@ def make_ue_state(
     types: Types, time_ns: int, mean: FloatArray, covariance: FloatArray, frames: Frames
 ) -> Any:
     """A UeState from (4,) and (4, 4)."""
-    x, y, heading, bias = (float(v) for v in mean)
+    x, y, heading, bias = mean.tolist()
     return types(topics.UE_STATE.type_name)(
         header=make_header(types, time_ns, frames.map),
         x=x,
@@ -281,15 +283,15 @@ def make_diagnostics(
     )
 
 
-def make_point(types: Types, position: Sequence[float] | FloatArray) -> Any:
+def make_point(types: Types, position: Sequence[float]) -> Any:
     """geometry_msgs/Point from (3,) [m]."""
-    x, y, z = (float(v) for v in position)
+    x, y, z = position
     return types("geometry_msgs/msg/Point")(x=x, y=y, z=z)
 
 
-def make_quaternion(types: Types, quaternion: Sequence[float] | FloatArray) -> Any:
+def make_quaternion(types: Types, quaternion: Sequence[float]) -> Any:
     """geometry_msgs/Quaternion from (4,) x, y, z, w."""
-    x, y, z, w = (float(v) for v in quaternion)
+    x, y, z, w = quaternion
     return types("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
 
 

@@ -22,7 +22,7 @@ from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import Control
 from dopslam_ros.core.refusal import Refused
 from dopslam_ros.core.session import FilterOutput
-from dopslam_ros.filter_messages import DrawingParameters, FilterMessages
+from dopslam_ros.filter_messages import DrawingParameters, FilterMessages, quaternions
 from dopslam_ros.messages import (
     Frames,
     make_control,
@@ -168,6 +168,17 @@ def test_ellipsoids_hold_95_percent(seed: int) -> None:
     )
     inside = (np.square(samples @ axes / radii).sum(axis=1) <= 1.0).mean()
     assert abs(inside - 0.95) < 0.006
+
+
+def test_quaternions_are_those_of_scipy() -> None:
+    """Any rotations, and the half turns, in which one component is all there is."""
+    from scipy.spatial.transform import Rotation
+
+    halves = [np.diag(turn) for turn in ([1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1])]
+    some = Rotation.random(200, random_state=1).as_matrix()
+    rotations = np.concatenate([halves, some])
+    ours, theirs = quaternions(rotations), Rotation.from_matrix(rotations).as_quat()
+    assert np.allclose(ours, theirs, rtol=0.0, atol=1e-15)
 
 
 def test_the_body_fades_with_the_existence() -> None:

@@ -19,9 +19,8 @@ import numpy.typing as npt
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-Parts: TypeAlias = list[bytes]
-Encoder: TypeAlias = Callable[[Any, Parts, int], int]
-"""Appends a value's bytes for a position in the stream and returns the position behind them."""
+Encoder: TypeAlias = Callable[[Any, bytearray], None]
+"""Appends a value's bytes to those before it, aligned as their number demands."""
 
 # Format of struct by name; byte, as rosbags has it, is signed.
 _FORMATS = {
@@ -103,8 +102,8 @@ class _Code:
         for field in fields:
             self._add(field)
         self._end_run()
-        text = "\n".join(f"    {line}" for line in [*self._lines, "return pos"])
-        exec(f"def encode(m, parts, pos):\n{text}", self._names)
+        text = "\n".join(f"    {line}" for line in self._lines)
+        exec(f"def encode(m, out):\n{text}", self._names)
         made: Encoder = self._names["encode"]
         return made
 
@@ -119,13 +118,13 @@ class _Code:
             self._lines.append(f"{name} = {field.code}.encode() + b'\\0'")
             self._run.append(("I", 4, f"len({name})"))
             self._end_run()
-            self._lines.append(f"parts.append({name}); pos += len({name})")
+            self._lines.append(f"out += {name}")
         else:
             self._lines.append(f"{name} = {field.code}")
             self._run.append(("I", 4, f"len({name})"))
             self._end_run()
             self._names[f"put_{name}"] = _elements(self._store, field.element)
-            self._lines.append(f"pos = put_{name}({name}, parts, pos)")
+            self._lines.append(f"if len({name}): put_{name}({name}, out)")
 
     def _add_number(self, field: _Number) -> None:
         size = Struct(_FORMATS[field.base]).size
@@ -143,10 +142,9 @@ class _Code:
             return
         name = f"run{next(self._number)}"
         layouts = [_layout(self._run, start) for start in range(_MOST_ALIGNED)]
-        self._names[name] = [(layout.pack, layout.size) for layout in layouts]
+        self._names[name] = [layout.pack for layout in layouts]
         values = ", ".join(value for _, _, value in self._run)
-        self._lines.append(f"pack, size = {name}[pos & {_MOST_ALIGNED - 1}]")
-        self._lines.append(f"parts.append(pack({values})); pos += size")
+        self._lines.append(f"out += {name}[len(out) & {_MOST_ALIGNED - 1}]({values})")
         self._run.clear()
 
 
@@ -192,7 +190,7 @@ def _known(base: str) -> str:
 
 
 def _elements(store: Typestore, description: Any) -> Encoder:
-    """The function that appends the elements of a sequence."""
+    """The function that appends the elements of a sequence that has some."""
     kind, content = description
     if kind == Nodetype.NAME:
         return _messages(store, content)
@@ -200,47 +198,38 @@ def _elements(store: Typestore, description: Any) -> Encoder:
         return _texts
     kind = _dtype(_known(content[0]))
 
-    def numbers(values: Any, parts: Parts, pos: int) -> int:
-        if not len(values):
-            return pos
-        data = bytes(-pos % kind.itemsize) + _block(values, kind, len(values))
-        parts.append(data)
-        return pos + len(data)
+    def numbers(values: Any, out: bytearray) -> None:
+        out += bytes(-len(out) % kind.itemsize) + _block(values, kind, len(values))
 
     return numbers
 
 
-def _texts(values: Any, parts: Parts, pos: int) -> int:
+def _texts(values: Any, out: bytearray) -> None:
     for value in values:
         data = value.encode() + b"\0"
-        gap = -pos % 4
-        parts.append(bytes(gap) + len(data).to_bytes(4, "little") + data)
-        pos += gap + 4 + len(data)
-    return pos
+        out += bytes(-len(out) % 4) + len(data).to_bytes(4, "little") + data
 
 
 def _messages(store: Typestore, type_name: str) -> Encoder:
     encode = encoder(store, type_name)
 
-    def messages(values: Any, parts: Parts, pos: int) -> int:
+    def messages(values: Any, out: bytearray) -> None:
         if isinstance(values, np.ndarray):
-            return _records(store, type_name, values, parts, pos)
+            _records(store, type_name, values, out)
+            return
         for value in values:
-            pos = encode(value, parts, pos)
-        return pos
+            encode(value, out)
 
     return messages
 
 
-def _records(
-    store: Typestore, type_name: str, values: npt.NDArray[Any], parts: Parts, pos: int
-) -> int:
+def _records(store: Typestore, type_name: str, values: npt.NDArray[Any], out: bytearray) -> None:
     """Appends a structured array: in one go from where all further elements lie alike."""
     if values.dtype != record_type(store, type_name):
         raise ValueError(f"an array of {values.dtype} in the place of {type_name}")
     first = 0
     while first < len(values):
-        start = pos % _MOST_ALIGNED
+        start = len(out) % _MOST_ALIGNED
         kind, end = _record_type(store, type_name, start)
         steady = (start + end) % _MOST_ALIGNED == start
         some = values[first:] if steady else values[first : first + 1]
@@ -249,10 +238,8 @@ def _records(
             data = np.zeros(len(some), kind)
             for name in kind.names or ():
                 data[name] = some[name]
-        parts.append(data.tobytes())
-        pos += end * len(some)
+        out += data.tobytes()
         first += len(some)
-    return pos
 
 
 @cache

@@ -45,6 +45,7 @@ def typestore() -> Typestore:
     return store
 
 
+@cache
 def message_class(type_name: str) -> type[object]:
     """Class whose objects ``serialize`` takes and ``deserialize`` gives.
 
@@ -75,13 +76,12 @@ def serialize(message: object, type_name: str) -> bytes:
         BagTypeError: The type is unknown or the message does not fit it.
     """
     message_class(type_name)
-    parts = [_ENCAPSULATION]
+    content = bytearray()
     try:
-        size = cdr.encoder(typestore(), type_name)(message, parts, 0)
+        cdr.encoder(typestore(), type_name)(message, content)
     except Exception as error:  # whatever the field's value provokes
         raise BagTypeError(f"this message is no {type_name}: {error!r}") from error
-    parts.append(bytes(-size % 4))
-    return b"".join(parts)
+    return _ENCAPSULATION + content + bytes(-len(content) % 4)
 
 
 def record_type(type_name: str) -> np.dtype[np.void]:

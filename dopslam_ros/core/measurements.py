@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, wrap_angle
-from dopslam_ros.core.channel import AZIMUTHS, COMPONENTS, DIM
+from dopslam_ros.core.arrays import BoolArray, FloatArray
+from dopslam_ros.core.channel import COMPONENTS, DIM
+from dopslam_ros.core.kernels.channel import wrap_azimuths
 from dopslam_ros.core.refusal import Refused
 
 # Magnitudes beyond which a number cannot be a measurement of its kind [m, rad, ..., m/s].
@@ -61,9 +62,10 @@ def checked_measurements(values: FloatArray, covariances: FloatArray) -> Measure
             "too_many_paths", f"{len(values)} paths in a set: at most {MOST_PATHS} can be used"
         )
     _check_values(values)
-    _check_covariances(values, covariances)
-    wrapped = np.array(values, dtype=np.float64)
-    wrapped[:, AZIMUTHS] = wrap_angle(wrapped[:, AZIMUTHS])
+    if covariances.any():  # otherwise all is left to the filter
+        _check_covariances(values, covariances)
+    wrapped = np.array(values, dtype=np.float64, order="C")
+    wrap_azimuths(wrapped)
     measured = np.isfinite(wrapped)
     both = measured[:, :, None] & measured[:, None, :]
     return MeasurementSet(wrapped, np.where(both, covariances, 0.0))

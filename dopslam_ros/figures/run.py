@@ -15,7 +15,7 @@ from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.metrics import state_errors
 from dopslam_ros.core.quantiles import chi_square
 from dopslam_ros.figures.style import BOUND, ESTIMATE, TRUTH
-from dopslam_ros.filter_messages import COLOURS, ELLIPSOID_PROBABILITY
+from dopslam_ros.filter_messages import ELLIPSOID_PROBABILITY, LOOKS
 from dopslam_ros.replay import Replay
 
 MARKS = {LandmarkType.BS: "^", LandmarkType.VA: "s", LandmarkType.SP: "o"}
@@ -94,13 +94,13 @@ def _draw_map(axes: Axes, run: Replay) -> None:
                 landmarks.positions[mine, 1],
                 marker="x",
                 s=45,
-                color=COLOURS[kind],
+                color=LOOKS[kind].colour,
                 label=f"{NAMES[kind]}, estimated",
             )
             for place, covariance in zip(
                 landmarks.positions[mine], landmarks.covariances[mine], strict=True
             ):
-                axes.add_patch(_ellipse(place[:2], covariance[:2, :2], COLOURS[kind]))
+                axes.add_patch(_ellipse(place[:2], covariance[:2, :2], LOOKS[kind].colour))
     axes.set_aspect("equal")
     axes.set_title(f"95 % ellipses, drawn {MAGNIFIED:g} times larger", fontsize="medium")
     axes.set_xlabel("x [m]")

@@ -57,7 +57,7 @@ SHARE = Path(sys.prefix) / "share"
 @pytest.fixture(autouse=True)
 def fresh_caches() -> Iterator[None]:
     """Look for definitions anew in each test, and after it."""
-    caches = [typestore, type_hash, definition]
+    caches = [typestore, message_class, type_hash, definition]
     for cached in caches:
         cached.cache_clear()
     yield
