@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -151,7 +150,7 @@ def with_map(parameters: FilterParameters, positions: FloatArray, types: IntArra
     state = _appended(start, positions[near], types[near], near + 1)
     for far in np.array_split(np.flatnonzero(~awake), -(-int((~awake).sum()) // CHUNK) or 1):
         state = fall_asleep(_appended(state, positions[far], types[far], far + 1), parameters)
-    return replace(state, next_id=len(types) + 1)
+    return state.but(next_id=len(types) + 1)
 
 
 def _appended(
@@ -173,8 +172,7 @@ def _appended(
     joint[old:, :old], joint[:old, old:] = cross, cross.T
     joint[old:, old:] += cross @ follows.T
     tracks, none = len(state.track_id), state.component_track
-    return replace(
-        state,
+    return state.but(
         mean=np.concatenate([state.mean, q.ravel()]),
         covariance=joint,
         origin=np.concatenate([state.origin, origin]),

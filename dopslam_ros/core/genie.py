@@ -143,8 +143,7 @@ def _with_new_landmarks(
     parameters: FilterParameters,
 ) -> tuple[GenieState, IntArray]:
     """Appends landmarks never seen, diffuse, where their path puts them; and the usable paths."""
-    base = replace(
-        initial_filter_state(parameters),
+    base = initial_filter_state(parameters).but(
         mean=state.mean[:UE],
         covariance=state.covariance[:UE, :UE],
     )

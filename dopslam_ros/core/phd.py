@@ -41,9 +41,9 @@ from dopslam_ros.core.filter.state import (
     gates,
     initial_filter_state,
 )
-from dopslam_ros.core.filter.undetected import Undetected, looked_from, nothing_seen
+from dopslam_ros.core.filter.undetected import looked_from, nothing_seen
 from dopslam_ros.core.kernels.hypotheses import LOG_TINY
-from dopslam_ros.core.kernels.records import Births, Observed
+from dopslam_ros.core.kernels.records import Births, Observed, Undetected
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import detection_probabilities, log_clutter_intensity
 from dopslam_ros.core.motion import ControlSpan, predict_covariance, propagate_spans
@@ -233,8 +233,7 @@ def _predict(
 
 def _without_map(state: PhdState, parameters: FilterParameters) -> FilterState:
     """Vehicle and undetected landmarks, which is what the births of the EK-PMB filter look at."""
-    return replace(
-        initial_filter_state(parameters),
+    return initial_filter_state(parameters).but(
         mean=state.ue_mean,
         covariance=state.ue_covariance,
         undetected=state.undetected,

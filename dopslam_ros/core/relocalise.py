@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -179,7 +179,7 @@ def placed(base: FilterState, pose: FloatArray, covariance: FloatArray) -> Filte
     mean[:UE] = pose
     joint[:UE], joint[:, :UE] = 0.0, 0.0
     joint[:UE, :UE] = covariance
-    return replace(base, mean=mean, covariance=joint)
+    return base.but(mean=mean, covariance=joint)
 
 
 def log_lost(measurements: MeasurementSet, parameters: FilterParameters) -> float:

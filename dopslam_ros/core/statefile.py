@@ -19,7 +19,6 @@ import json
 import math
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ import numpy as np
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.filter import FilterState, Mixture
 from dopslam_ros.core.filter.sleepers import Asleep, Sleepers
-from dopslam_ros.core.filter.undetected import Undetected
+from dopslam_ros.core.kernels.records import Density, Undetected
 from dopslam_ros.core.motion import Control, ControlSpan, Drift
 from dopslam_ros.core.saved import Saved, SavedError
 from dopslam_ros.core.soundness import check_saved
@@ -44,8 +43,8 @@ MOST_HEADER_BYTES = 1 << 24
 _PREFIX = struct.Struct("<8sIIQ")
 _START = _PREFIX.size + hashlib.sha256().digest_size
 _TYPES: Mapping[str, Any] = {"<f8": np.float64, "<i8": np.int64}
-_NUMBERS = ("next_id",)
-_OWN = ("undetected", "asleep", *_NUMBERS)
+# What is an array of its own.
+_DENSITY = tuple(name for name in Density._fields if name not in ("undetected", "next_id"))
 # Shape of what belongs to one sleeper; A anchors.
 _SLEEPER: Mapping[str, tuple[int, ...]] = {
     "track_id": (),
@@ -153,9 +152,8 @@ def _named_arrays(saved: Saved) -> Iterator[tuple[str, Array]]:
 
 
 def _of_state(state: FilterState) -> Iterator[tuple[str, Array]]:
-    for part in fields(FilterState):
-        if part.name not in _OWN:
-            yield part.name, getattr(state, part.name)
+    for name in _DENSITY:
+        yield name, getattr(state.density, name)
     yield "numbers", np.array([state.next_id, state.undetected.looks], np.int64)
     yield "viewpoints", state.undetected.viewpoints
     yield "viewpoint_looks", state.undetected.viewpoint_looks
@@ -216,13 +214,13 @@ def _state(arrays: Arrays, prefix: str) -> FilterState:
     def take(name: str) -> Any:
         return arrays.pop(prefix + name)
 
-    own = {p.name: take(p.name) for p in fields(FilterState) if p.name not in _OWN}
+    own = {name: take(name) for name in _DENSITY}
     next_id, looks = take("numbers").tolist()
     undetected = Undetected(looks, take("viewpoints"), take("viewpoint_looks"))
     cells, (widest,) = take("cells").tolist(), take("widest").tolist()
     flat = {name: take(f"asleep/{name}") for name in _SLEEPER} if cells else {}
-    asleep = Asleep(_cells(cells, flat), widest)
-    return FilterState(**own, undetected=undetected, asleep=asleep, next_id=next_id)
+    density = Density(**own, undetected=undetected, next_id=next_id)
+    return FilterState(density, Asleep(_cells(cells, flat), widest))
 
 
 def _cells(sizes: list[list[int]], flat: Mapping[str, Any]) -> dict[tuple[int, int], Sleepers]:

@@ -1,16 +1,39 @@
-"""A short run nobody sees, so that the first real set meets code that is compiled and loaded."""
+"""A short run nobody sees, so that the first real set meets code that is compiled and loaded.
+
+The very first time the code must be compiled, which takes the better part of a minute. A second
+process takes its share: what the step needs last, and the search for a vehicle that is lost. It
+hands over what it has made through the cache on disk.
+"""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
-from dopslam_ros.core.channel import LandmarkType
-from dopslam_ros.core.filter import FilterParameters
+from dopslam_ros.core.channel import DIM, LandmarkType
+from dopslam_ros.core.filter import FilterParameters, initial_filter_state
+from dopslam_ros.core.filter.evidence import prepare
+from dopslam_ros.core.filter.state import UE
+from dopslam_ros.core.kernels.compiled import cache_folder
+from dopslam_ros.core.kernels.records import (
+    Births,
+    Evidence,
+    Hypotheses,
+    LocalWeights,
+    Newborn,
+    Ranked,
+)
+from dopslam_ros.core.kernels.step import conclude, continued
+from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import ModelParameters
 from dopslam_ros.core.motion import Control
 from dopslam_ros.core.parameters import shared_values
+from dopslam_ros.core.relocalise import Clock, solutions
 from dopslam_ros.core.scenario import Scenario
 from dopslam_ros.core.session import BoundsParameters, BoundsSession, FilterSession, WorldState
 from dopslam_ros.core.simulator import Snapshot, all_landmarks, simulate
@@ -20,13 +43,9 @@ STEPS = 4
 
 def warm_up_filter(parameters: FilterParameters) -> None:
     """Runs every part of the filter's step once, and of the search for a vehicle that is lost."""
-    for pose in ("known", "unknown"):
-        session = FilterSession(replace(parameters, initial_pose=pose))
-        for snapshot in _snapshots(parameters):
-            control = snapshot.control
-            list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
-            for output in session.add_measurements(snapshot.stamp_ns, snapshot.measurements):
-                assert output.landmarks is not None
+    with _a_second_process():
+        _run(replace(parameters, initial_pose="known"))
+    _run(replace(parameters, initial_pose="unknown"))
 
 
 def warm_up_bounds(parameters: BoundsParameters) -> None:
@@ -38,6 +57,61 @@ def warm_up_bounds(parameters: BoundsParameters) -> None:
         control = snapshot.control
         list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
         list(session.add_world(snapshot.stamp_ns, world))
+
+
+def compile_the_rest() -> None:
+    """What the second process does: compiles from the end what the first does from the start."""
+    parameters = FilterParameters()
+    density, constants = initial_filter_state(parameters).density, parameters.constants
+    nothing = MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM)))
+    observed, ranked = prepare(nothing, parameters), _nothing_heard()
+    updated = continued(density, ranked, ranked.born.kept, observed, constants)
+    conclude(ranked.hypotheses.weight, updated, constants)
+    solutions(initial_filter_state(parameters), observed, 0.0, Clock(0.0, 1.0), parameters)
+
+
+@contextmanager
+def _a_second_process() -> Iterator[None]:
+    """Compiles while this one does, where nothing is compiled yet; ends with it."""
+    if not sys.executable or any(cache_folder().rglob("*.nbi")):
+        yield
+        return
+    command = [sys.executable, "-c", f"import {__name__} as w; w.compile_the_rest()"]
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet) as process:
+        try:
+            yield
+        except BaseException:
+            process.kill()
+            raise
+
+
+def _run(parameters: FilterParameters) -> None:
+    session = FilterSession(parameters)
+    for snapshot in _snapshots(parameters):
+        control = snapshot.control
+        list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
+        for output in session.add_measurements(snapshot.stamp_ns, snapshot.measurements):
+            assert output.landmarks is not None
+
+
+def _nothing_heard() -> Ranked:
+    """The associations of a set without paths."""
+    none, nobody = np.zeros((1, 0)), np.zeros((1, 0), np.int64)
+    return Ranked(
+        Evidence(
+            np.zeros((1, DIM, UE)),
+            np.zeros((1, DIM, 3)),
+            np.zeros(1),
+            np.zeros((1, 0, DIM)),
+            none,
+        ),
+        Births(np.zeros((2, 0, 3)), np.zeros((2, 0, 3, 3)), np.zeros((2, 0, 3, 4)), none),
+        LocalWeights(none, none, np.zeros(1), np.zeros(0)),
+        Hypotheses(nobody, nobody, np.ones(1), 0.0),
+        Newborn(np.zeros(0), np.zeros(0, np.bool_)),
+        True,
+    )
 
 
 def _scene(parameters: ModelParameters) -> Scenario:

@@ -245,7 +245,7 @@ def broken(kind: str) -> Failure:
             covariance[0, 1] = covariance[1, 0] = 1.01 * np.sqrt(
                 covariance[0, 0] * covariance[1, 1]
             )
-        broken_one = replace(best, mean=mean, covariance=covariance)
+        broken_one = best.but(mean=mean, covariance=covariance)
         return replace(outcome, state=replace(outcome.state, hypotheses=(broken_one,)))
 
     return fails

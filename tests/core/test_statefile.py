@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dopslam_ros.core.filter import FilterParameters
+from dopslam_ros.core.filter import FilterParameters, FilterState
 from dopslam_ros.core.filter.sleepers import Asleep
 from dopslam_ros.core.filter.state import UE
 from dopslam_ros.core.saved import MAP, SNAPSHOT, Saved, SavedError
@@ -173,10 +173,12 @@ def test_another_version_and_other_files_are_refused(paper: Saved) -> None:
             decode(data)
 
 
+def with_best(saved: Saved, best: FilterState) -> Saved:
+    return replace(saved, mixture=replace(saved.mixture, hypotheses=(best,)))
+
+
 def spoil(saved: Saved, **changes: Any) -> Saved:
-    return replace(saved, mixture=replace(saved.mixture, hypotheses=(
-        replace(saved.mixture.best, **changes),
-    )))  # fmt: skip
+    return with_best(saved, saved.mixture.best.but(**changes))
 
 
 def test_what_is_no_density_is_refused(paper: Saved) -> None:
@@ -199,7 +201,7 @@ def test_what_is_no_density_is_refused(paper: Saved) -> None:
         "right angles": spoil(paper, axes=best.axes * 1.01),
         "same id": spoil(paper, track_id=best.track_id * 0 + 1),
         "id is out of range": spoil(paper, next_id=1),
-        "a reach": spoil(paper, asleep=Asleep(best.asleep.cells, 0.0)),
+        "a reach": with_best(paper, replace(best, asleep=Asleep(best.asleep.cells, 0.0))),
         "no vehicle": replace(paper, kind=MAP),
         "where none can be": replace(paper, known=paper),
         "in order": replace(paper, controls=paper.controls * 2),

@@ -58,7 +58,8 @@ from numba.core.dispatcher import Dispatcher
 from dopslam_ros.core import kernels
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.session import BoundsParameters
-from dopslam_ros.core.warmup import warm_up_bounds, warm_up_filter
+from dopslam_ros.core.warmup import compile_the_rest, warm_up_bounds, warm_up_filter
+compile_the_rest()  # or the first process would have no use for what the second one makes
 warm_up_filter(FilterParameters())
 warm_up_bounds(BoundsParameters())
 for module in pkgutil.iter_modules(kernels.__path__, kernels.__name__ + "."):

@@ -19,10 +19,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, block_indices, symmetrise
+from dopslam_ros.core.arrays import FloatArray, IntArray, block_indices, symmetrise
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.filter.sleepers import Sleepers
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
+from dopslam_ros.core.kernels import asleep as kernels
 from dopslam_ros.core.kernels.asleep import MARGIN, left_behind
 
 # Only virtual anchors that surely are what they are carry others.
@@ -55,20 +56,11 @@ def wake_up(state: FilterState, parameters: FilterParameters) -> FilterState:
     found, asleep = state.asleep.take(state.ue_mean[:2], _blur(state), _cell_size(parameters))
     if found is None:
         return state
-    gain, q, residual = _regression(state, found)
-    count, n, tracks = len(found), len(state.mean), len(state.track_id)
-    joint = np.zeros((n + 3 * count, n + 3 * count))
-    joint[:n, :n] = state.covariance
-    joint[n:, :n] = gain.reshape(3 * count, n) @ state.covariance
-    joint[:n, n:] = joint[n:, :n].T
-    joint[n:, n:] = joint[n:, :n] @ gain.reshape(3 * count, n).T
-    for number in range(count):
-        block = slice(n + 3 * number, n + 3 * number + 3)
-        joint[block, block] += residual[number]
-    return replace(
-        state,
-        mean=np.concatenate([state.mean, q.ravel()]),
-        covariance=symmetrise(joint),
+    count, tracks = len(found), len(state.track_id)
+    mean, covariance = kernels.woken(state.density, found.regressions)
+    awake = state.but(
+        mean=mean,
+        covariance=covariance,
         origin=np.concatenate([state.origin, found.origin]),
         axes=np.concatenate([state.axes, found.axes]),
         component_track=np.concatenate([state.component_track, tracks + np.arange(count)]),
@@ -76,14 +68,13 @@ def wake_up(state: FilterState, parameters: FilterParameters) -> FilterState:
         component_weight=np.append(state.component_weight, np.ones(count)),
         track_id=np.append(state.track_id, found.track_id),
         existence=np.append(state.existence, found.existence),
-        asleep=asleep,
     )
+    return replace(awake, asleep=asleep)
 
 
 def as_of_now(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, FloatArray]:
     """(N, 3) placements and (N, 3, 3) covariances of sleepers, as the anchors have it now."""
-    gain, q, residual = _regression(state, sleepers)
-    return q, residual + symmetrise(gain @ state.covariance @ np.swapaxes(gain, 1, 2))
+    return kernels.as_of_now(state.density, sleepers.regressions)
 
 
 def _blur(state: FilterState) -> float:
@@ -128,50 +119,3 @@ def _sleepers(state: FilterState, components: IntArray, reach: FloatArray) -> Sl
         gain=gain.reshape(count, 3, -1),
         residual=symmetrise(covariance - explained),
     )
-
-
-def _located(state: FilterState, sleepers: Sleepers) -> tuple[IntArray, BoolArray]:
-    """(N, A) components that the anchors are now, and (N,) whether all are still there.
-
-    Unused places get component -1.
-    """
-    vas = np.flatnonzero(state.component_type == LandmarkType.VA)
-    ids = state.track_id[state.component_track[vas]]
-    order = np.argsort(ids)
-    at = np.searchsorted(ids[order], sleepers.anchors)
-    at = np.minimum(at, max(len(ids) - 1, 0))
-    used = sleepers.anchors > 0
-    if not len(ids):
-        return np.full(used.shape, -1), np.asarray(~used.any(axis=1))
-    hit = ids[order][at] == sleepers.anchors
-    component = np.where(used & hit, vas[order][at], -1)
-    return component, np.asarray((hit | ~used).all(axis=1))
-
-
-def _regression(
-    state: FilterState, sleepers: Sleepers
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How q depends on the joint vector as it is now; not at all for those that lost an anchor.
-
-    Returns:
-        (N, 3, n) gains, (N, 3) q, and (N, 3, 3) its covariance given the joint vector.
-    """
-    component, complete = _located(state, sleepers)
-    count, places = component.shape
-    n = len(state.mean)
-    # Columns beyond the last are for places that are not used.
-    gain = np.zeros((count, 3, n + 3))
-    columns = UE + 3 * component[:, :, None] + np.arange(3)
-    columns = np.where(component[:, :, None] >= 0, columns, n)
-    parts = sleepers.gain.reshape(count, 3, places, 3)
-    row = np.arange(count)
-    for place in range(places):
-        for c in range(3):
-            gain[row, :, columns[:, place, c]] += parts[:, :, place, c]
-
-    placements = np.vstack([state.placements, np.zeros((1, 3))])[component]
-    moved = placements.reshape(count, -1) - sleepers.anchor_q
-    shift = (sleepers.gain @ moved[:, :, None])[:, :, 0]
-    q = sleepers.q + np.where(complete[:, None], shift, 0.0)
-    residual = np.where(complete[:, None, None], sleepers.residual, sleepers.covariance)
-    return gain[:, :, :n] * complete[:, None, None], q, residual

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
 from dopslam_ros.core.kernels.merge import uncouple
 
@@ -13,7 +11,7 @@ def map_of(state: FilterState) -> FilterState:
     mean, covariance = state.mean.copy(), state.covariance.copy()
     mean[:UE] = 0.0
     covariance[:UE] = covariance[:, :UE] = 0.0
-    return replace(state, mean=mean, covariance=covariance)
+    return state.but(mean=mean, covariance=covariance)
 
 
 def with_map(state: FilterState, known: FilterState, parameters: FilterParameters) -> FilterState:

@@ -20,6 +20,7 @@ from dopslam_ros.core.filter.state import (
 from dopslam_ros.core.filter.step import NOT_POSITIVE, advance, step
 from dopslam_ros.core.kernels import mixture as kernels
 from dopslam_ros.core.kernels.records import Associations, Conditioned, Observed, Ranked
+from dopslam_ros.core.kernels.step import conclude, continued
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.motion import ControlSpan
 
@@ -122,7 +123,7 @@ def mixture_step(
     ranked = [kernels.rank(one.density, observed, float(speed), constants) for one in predicted]
     numbered = np.any([one.born.kept for one in ranked], axis=0)
     conditioned = [
-        kernels.continued(one.density, found, numbered, observed, constants)
+        continued(one.density, found, numbered, observed, constants)
         for one, found in zip(predicted, ranked, strict=True)
     ]
     if not all(one.sound for one in ranked) or not all(one.updated.sound for one in conditioned):
@@ -144,8 +145,8 @@ def mixture_step(
         number = int(np.searchsorted(begin, index, side="right")) - 1
         alone = np.zeros(len(parts[number]))
         alone[index - begin[number]] = 1.0
-        density, leaving = kernels.conclude(alone, conditioned[number], constants)
-        state = FilterState.of(density, predicted[number].asleep)
+        density, leaving = conclude(alone, conditioned[number], constants)
+        state = FilterState(density, predicted[number].asleep)
         states.append(fall_asleep(state, parameters) if leaving else state)
     associations = _pooled(ranked, conditioned, observed, weight, log_evidence)
     return MixtureStep(Mixture(tuple(states), weight[kept] / weight[kept].sum()), associations)

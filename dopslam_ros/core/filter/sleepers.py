@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
+from dopslam_ros.core.kernels import asleep as kernels
+from dopslam_ros.core.kernels.records import Regressions
 
 CellIndex = tuple[int, int]
 
@@ -48,6 +50,13 @@ class Sleepers:
 
     def __len__(self) -> int:
         return len(self.track_id)
+
+    @property
+    def regressions(self) -> Regressions:
+        """What ties them to their anchors."""
+        return Regressions(
+            self.anchors, self.anchor_q, self.gain, self.q, self.covariance, self.residual
+        )
 
     def rows(self, which: IntArray) -> Sleepers:
         """Some of them."""
@@ -125,8 +134,7 @@ class Asleep:
             sleepers = self.cells.get(index)
             if sleepers is None:
                 continue
-            offset = sleepers.position[:, :2] - ue
-            near = np.hypot(offset[:, 0], offset[:, 1]) <= sleepers.reach + blur
+            near = kernels.near(sleepers.position, sleepers.reach, ue, blur)
             if not near.any():
                 continue
             cells = dict(self.cells) if cells is None else cells

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from dopslam_ros.core.arrays import (
 from dopslam_ros.core.channel import DIM, LandmarkType
 from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.sleepers import Asleep
-from dopslam_ros.core.filter.undetected import Undetected, nothing_seen
-from dopslam_ros.core.kernels.records import UE, Constants, Density
+from dopslam_ros.core.filter.undetected import nothing_seen
+from dopslam_ros.core.kernels.records import UE, Constants, Density, Undetected
 from dopslam_ros.core.model import OnlineParameters
 from dopslam_ros.core.parameters import parameter
 from dopslam_ros.core.quantiles import chi_square
@@ -160,79 +161,77 @@ def gates(probability: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class FilterState:
-    """The PMB density: a Gaussian over vehicle and landmark components, the rest per landmark.
-
-    A landmark (track) has a component for each type it may still be. The joint vector is
-    [s; q_1 ... q_C], q the range and direction of a component in its own frame (see
-    ``placement``); with ``coupling: marginal`` the covariance is block diagonal between steps.
+    """What the filter knows of vehicle and map.
 
     Attributes:
-        mean: (4 + 3 C,) x [m], y [m], heading [rad], clock bias [m], then q of the components.
-        covariance: (4 + 3 C, 4 + 3 C).
-        origin: (C, 3) where the frames of the components are [m].
-        axes: (C, 3, 3) their axes, in columns.
-        component_track: (C,) index of the track each component belongs to, ascending.
-        component_type: (C,) VA or SP.
-        component_weight: (C,) probability of the type, given that the track exists.
-        track_id: (T,) stable ids, from 1 on (0 is the BS).
-        existence: (T,) probability that the landmark exists, r.
-        undetected: where landmarks never detected may still be.
+        density: of the vehicle and of all landmarks that may be detected from where it is.
         asleep: landmarks put aside while they are out of view.
-        next_id: the id of the next new track.
     """
 
-    mean: FloatArray
-    covariance: FloatArray
-    origin: FloatArray
-    axes: FloatArray
-    component_track: IntArray
-    component_type: IntArray
-    component_weight: FloatArray
-    track_id: IntArray
-    existence: FloatArray
-    undetected: Undetected
+    density: Density
     asleep: Asleep
-    next_id: int
 
-    @cached_property
-    def density(self) -> Density:
-        """All but what is asleep, as the compiled parts take it."""
-        return Density(
-            mean=floats(self.mean),
-            covariance=floats(self.covariance),
-            origin=floats(self.origin),
-            axes=floats(self.axes),
-            component_track=integers(self.component_track),
-            component_type=integers(self.component_type),
-            component_weight=floats(self.component_weight),
-            track_id=integers(self.track_id),
-            existence=floats(self.existence),
-            looks=int(self.undetected.looks),
-            viewpoints=floats(self.undetected.viewpoints),
-            viewpoint_looks=integers(self.undetected.viewpoint_looks),
-            next_id=int(self.next_id),
-        )
+    # The parts of the density, which says what they are.
 
-    @staticmethod
-    def of(density: Density, asleep: Asleep) -> FilterState:
-        """The state with a density, which is as the compiled parts made it."""
-        one = density
-        state = FilterState(
-            one.mean,
-            one.covariance,
-            one.origin,
-            one.axes,
-            one.component_track,
-            one.component_type,
-            one.component_weight,
-            one.track_id,
-            one.existence,
-            Undetected(one.looks, one.viewpoints, one.viewpoint_looks),
-            asleep,
-            one.next_id,
-        )
-        vars(state)["density"] = density
-        return state
+    @property
+    def mean(self) -> FloatArray:
+        """(4 + 3 C,)."""
+        return self.density.mean
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(4 + 3 C, 4 + 3 C)."""
+        return self.density.covariance
+
+    @property
+    def origin(self) -> FloatArray:
+        """(C, 3) [m]."""
+        return self.density.origin
+
+    @property
+    def axes(self) -> FloatArray:
+        """(C, 3, 3)."""
+        return self.density.axes
+
+    @property
+    def component_track(self) -> IntArray:
+        """(C,)."""
+        return self.density.component_track
+
+    @property
+    def component_type(self) -> IntArray:
+        """(C,)."""
+        return self.density.component_type
+
+    @property
+    def component_weight(self) -> FloatArray:
+        """(C,)."""
+        return self.density.component_weight
+
+    @property
+    def track_id(self) -> IntArray:
+        """(T,)."""
+        return self.density.track_id
+
+    @property
+    def existence(self) -> FloatArray:
+        """(T,)."""
+        return self.density.existence
+
+    @property
+    def undetected(self) -> Undetected:
+        """Where landmarks never detected may still be."""
+        return self.density.undetected
+
+    @property
+    def next_id(self) -> int:
+        """The id of the next new track."""
+        return self.density.next_id
+
+    def but(self, **parts: Any) -> FilterState:
+        """The same with other parts of the density."""
+        ready = {name: _as_compiled(value) for name, value in parts.items()}
+        return FilterState(self.density._replace(**ready), self.asleep)
 
     @property
     def ue_mean(self) -> FloatArray:
@@ -286,8 +285,7 @@ class FilterState:
         blocks = block_indices(UE, np.flatnonzero(components), 3).ravel()
         index = np.concatenate([np.arange(UE), blocks])
         renumbered = np.cumsum(tracks) - 1
-        return replace(
-            self,
+        return self.but(
             mean=self.mean[index],
             covariance=self.covariance[np.ix_(index, index)],
             origin=self.origin[components],
@@ -300,12 +298,19 @@ class FilterState:
         )
 
 
+def _as_compiled(value: Any) -> Any:
+    """A part of a density as the compiled functions take it."""
+    if not isinstance(value, np.ndarray):
+        return value
+    return floats(value) if value.dtype.kind == "f" else integers(value)
+
+
 def initial_filter_state(parameters: FilterParameters) -> FilterState:
     """The density before the first snapshot: the prior of the vehicle and an unknown map."""
     none = np.zeros(0, dtype=np.int64)
-    return FilterState(
+    density = Density(
         mean=np.array(parameters.initial_state),
-        covariance=parameters.initial_covariance,
+        covariance=floats(parameters.initial_covariance),
         origin=np.zeros((0, 3)),
         axes=np.zeros((0, 3, 3)),
         component_track=none,
@@ -314,6 +319,6 @@ def initial_filter_state(parameters: FilterParameters) -> FilterState:
         track_id=none,
         existence=np.zeros(0),
         undetected=nothing_seen(),
-        asleep=Asleep(),
         next_id=1,
     )
+    return FilterState(density, Asleep())

@@ -87,7 +87,7 @@ def update(
         outcome = localise(before, after, observed, float(speed), constants)
     if not outcome.sound:
         raise np.linalg.LinAlgError(NOT_POSITIVE)
-    state = FilterState.of(outcome.density, prior.asleep)
+    state = FilterState(outcome.density, prior.asleep)
     if outcome.leaving:
         state = fall_asleep(state, parameters)
     return Step(state, outcome.associations)
@@ -110,4 +110,4 @@ def predict(
     mean, covariance = predict_arrays(
         before.mean, before.covariance, span_rows(spans), parameters.noise_rate
     )
-    return FilterState.of(before._replace(mean=mean, covariance=covariance), state.asleep)
+    return FilterState(before._replace(mean=mean, covariance=covariance), state.asleep)

@@ -8,28 +8,12 @@ edge of what it has seen is a new landmark.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, IntArray, floats, integers
+from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.kernels import detection as kernels
+from dopslam_ros.core.kernels.records import Undetected
 from dopslam_ros.core.model import ModelParameters
-
-
-@dataclass(frozen=True)
-class Undetected:
-    """From where how often nothing new was detected.
-
-    Attributes:
-        looks: number of snapshots so far.
-        viewpoints: (K, 2) places of the vehicle [m], those whose field of view still matters.
-        viewpoint_looks: (K,) number of snapshots near each.
-    """
-
-    looks: int
-    viewpoints: FloatArray
-    viewpoint_looks: IntArray
 
 
 def nothing_seen() -> Undetected:
@@ -39,11 +23,6 @@ def nothing_seen() -> Undetected:
 
 def looked_from(undetected: Undetected, ue: FloatArray, model: ModelParameters) -> Undetected:
     """One more snapshot, taken from ``ue`` (2,) [m]."""
-    viewpoints, looks = kernels.looked_from(
-        floats(undetected.viewpoints),
-        integers(undetected.viewpoint_looks),
-        float(ue[0]),
-        float(ue[1]),
-        float(model.sp_field_of_view),
+    return kernels.looked_from(
+        undetected, float(ue[0]), float(ue[1]), float(model.sp_field_of_view)
     )
-    return Undetected(undetected.looks + 1, viewpoints, looks)

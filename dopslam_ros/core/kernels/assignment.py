@@ -143,10 +143,10 @@ def cut_out(
 
 
 @part
-def wanted(ranking: Ranking, cost: float, limit: float) -> bool:
-    """Whether a solution of this cost would be among the best so far."""
-    last = len(ranking.cost) - 1
-    return cost <= limit and (ranking.found[0] <= last or cost < ranking.cost[last])
+def wanted(costs: FloatArray, found: IntArray, cost: float, limit: float) -> bool:
+    """Whether a solution of this cost would be among the best so far, (K,) ``found`` (1,)."""
+    last = len(costs) - 1
+    return cost <= limit and (found[0] <= last or cost < costs[last])
 
 
 @part
@@ -213,14 +213,15 @@ def split(
     for row in range(ranking.fixed[at], len(solution.pair)):
         forbid(allowed, ranking, at, row)
         other = cheapest(allowed, solution, row, row)
-        if other < math.inf and wanted(ranking, cost + max(0.0, other - solution.u[row]), limit):
+        least = cost + max(0.0, other - solution.u[row])
+        if other < math.inf and wanted(ranking.cost, ranking.found, least, limit):
             target = problem.column[solution.pair[row]]
             solution.pair[row] = OPEN
             solution.row[target] = FREE
             if augment(allowed, solution, search, row, target, row):
                 # Never cheaper than the parent, whatever the rounding.
                 found = max(cost, price_rows(problem, solution))
-                if wanted(ranking, found, limit):
+                if wanted(ranking.cost, ranking.found, found, limit):
                     child = keep(ranking, solution, found)
                     ranking.parent[child] = at
                     ranking.fixed[child] = row

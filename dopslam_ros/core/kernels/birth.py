@@ -28,6 +28,7 @@ from dopslam_ros.core.kernels.small import (
     forward,
     forward_columns,
     log_determinant,
+    solve_bordered,
 )
 
 GAUSS_NEWTON_STEPS = 6
@@ -126,9 +127,7 @@ def log_undetected(
     if not seen > 0.0:
         return -math.inf
     share = log_share_left(
-        density.looks,
-        density.viewpoints,
-        density.viewpoint_looks,
+        density.undetected,
         constants.ue_height,
         position,
         kind,
@@ -187,15 +186,13 @@ def fit(
         if step == GAUSS_NEWTON_STEPS:
             break
         # The last row of the bordered equations is their right-hand side, and then the step.
-        right = normal[3]
-        forward(normal, right, len(position))
-        size = right[0] * right[0] + right[1] * right[1] + right[2] * right[2]
-        backward(normal, right, len(position))
-        length = math.sqrt(right[0] * right[0] + right[1] * right[1] + right[2] * right[2])
+        size = solve_bordered(normal, len(position))
+        dx, dy, dz = normal[3, 0], normal[3, 1], normal[3, 2]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
         # One cautious step must not leave the region where the linearisation means something.
         share = 1.0 if length <= LARGEST_STD else LARGEST_STD / length
         for i in range(3):
-            position[i] += share * right[i]
+            position[i] += share * normal[3, i]
         if size < NEGLIGIBLE_STEP * NEGLIGIBLE_STEP:  # in standard deviations, squared
             break
     return facing

@@ -43,14 +43,16 @@ def observe_source(
         Whether the geometry is degenerate (h is then finite but means nothing, A and B are zero)
         and whether the path can exist; see ``channel.Paths``.
     """
-    place = bs if kind == BS else position
-    dx, dy, dz = place[0] - ue[0], place[1] - ue[1], place[2] - ue_height
+    px, py, pz = position[0], position[1], position[2]
+    if kind == BS:
+        px, py, pz = bs[0], bs[1], bs[2]
+    dx, dy, dz = px - ue[0], py - ue[1], pz - ue_height
     distance, ux, uy, uz = unit(dx, dy, dz)
     # The leg from the BS: to the vehicle for the BS itself, else to the landmark.
     if kind == BS:
         leg, nx, ny, nz = unit(-dx, -dy, -dz)
     else:
-        leg, nx, ny, nz = unit(place[0] - bs[0], place[1] - bs[1], place[2] - bs[2])
+        leg, nx, ny, nz = unit(px - bs[0], py - bs[1], pz - bs[2])
     along = nx * ux + ny * uy + nz * uz
     wx, wy, wz = nx, ny, nz
     if kind == VA:  # n is the normal of the wall, the departure the arrival mirrored at it
@@ -72,19 +74,19 @@ def observe_source(
     arrival_rows(ux, uy, uz, distance, cosine, sine, h[5], a, b)
     if kind == VA:
         mirrored_rows(ux, uy, uz, distance, nx, ny, nz, leg, a, b)
-        beyond = nx * (ue[0] - 0.5 * (place[0] + bs[0])) + ny * (ue[1] - 0.5 * (place[1] + bs[1]))
-        beyond += nz * (ue_height - 0.5 * (place[2] + bs[2]))
+        beyond = nx * (ue[0] - 0.5 * (px + bs[0])) + ny * (ue[1] - 0.5 * (py + bs[1]))
+        beyond += nz * (ue_height - 0.5 * (pz + bs[2]))
         # The signed distance of the vehicle from the wall, the BS being at the negative side.
         return False, beyond < -SMALLEST_DISTANCE
     if kind == SP:
         b[0, 0] += nx
         b[0, 1] += ny
         b[0, 2] += nz
-        angle_rows(nx, ny, nz, leg, b[3], b[4])
+        angle_rows(nx, ny, nz, leg, b, 3)
         return False, True
-    for row in (0, 1, 2, 5):
+    for row in range(DIM):
         b[row, 0] = b[row, 1] = b[row, 2] = 0.0
-    angle_rows(nx, ny, nz, leg, a[3], a[4])
+    angle_rows(nx, ny, nz, leg, a, 3)
     return False, True
 
 
@@ -153,25 +155,25 @@ def wrap_azimuths(differences: FloatArray) -> None:
 
 @part
 def angle_rows(
-    x: float, y: float, z: float, distance: float, azimuth: FloatArray, elevation: FloatArray
+    x: float, y: float, z: float, distance: float, jacobian: FloatArray, row: int
 ) -> None:
-    """Derivatives of azimuth and elevation by the far end of a line, into the first entries.
+    """Derivatives of azimuth and elevation by the far end of a line.
 
     Args:
         x: of the unit vector along the line, not upright.
         y: of it.
         z: of it.
         distance: length of the line [m].
-        azimuth: (3 or 4,) row to be written.
-        elevation: (3 or 4,) row to be written; of a row (4,), a vehicle's, only x and y.
+        jacobian: (6, 3) by a landmark, or (6, 4) by the vehicle, of which x and y are written.
+        row: of the azimuth; that of the elevation comes next.
     """
     ground = math.sqrt(x * x + y * y)
-    azimuth[0] = -y / (ground * ground * distance)
-    azimuth[1] = x / (ground * ground * distance)
-    elevation[0] = -z * x / (ground * distance)
-    elevation[1] = -z * y / (ground * distance)
-    if len(elevation) == 3:
-        elevation[2] = ground / distance
+    jacobian[row, 0] = -y / (ground * ground * distance)
+    jacobian[row, 1] = x / (ground * ground * distance)
+    jacobian[row + 1, 0] = -z * x / (ground * distance)
+    jacobian[row + 1, 1] = -z * y / (ground * distance)
+    if jacobian.shape[1] == 3:
+        jacobian[row + 1, 2] = ground / distance
 
 
 @part
@@ -200,11 +202,11 @@ def arrival_rows(
         b: (6, 3) to be written.
     """
     b[0, 0], b[0, 1], b[0, 2] = x, y, z
-    angle_rows(x, y, z, distance, b[1], b[2])
+    angle_rows(x, y, z, distance, b, 1)
     b[5, 0] = (cosine - doppler * x) / distance
     b[5, 1] = (sine - doppler * y) / distance
     b[5, 2] = -doppler * z / distance
-    for row in (0, 1, 2, 5):
+    for row in range(DIM):  # those of the departure are zero so far
         a[row, 0], a[row, 1] = -b[row, 0], -b[row, 1]
     a[0, 3] = 1.0
     a[1, 2] = -1.0
@@ -243,8 +245,8 @@ def mirrored_rows(
     """
     along = nx * ux + ny * uy + nz * uz
     wx, wy, wz = 2.0 * along * nx - ux, 2.0 * along * ny - uy, 2.0 * along * nz - uz
-    angle_rows(wx, wy, wz, 1.0, b[3], b[4])
-    for row in (3, 4):
+    angle_rows(wx, wy, wz, 1.0, b, 3)
+    for row in range(3, 5):
         rx, ry, rz = b[row, 0], b[row, 1], b[row, 2]
         across = 2.0 * (rx * nx + ry * ny + rz * nz)
         mx, my, mz = rx - across * nx, ry - across * ny, rz - across * nz

@@ -9,6 +9,7 @@ import numpy as np
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.kernels.channel import SP
 from dopslam_ros.core.kernels.compiled import compiled, part
+from dopslam_ros.core.kernels.records import Undetected
 
 # A distance that is better known than this [m] is as good as exact.
 SMALLEST_SPREAD = 1e-9
@@ -68,9 +69,7 @@ def detection_probabilities(
 
 @part
 def log_share_left(
-    looks: int,
-    viewpoints: FloatArray,
-    viewpoint_looks: IntArray,
+    undetected: Undetected,
     ue_height: float,
     position: FloatArray,
     kind: int,
@@ -82,9 +81,7 @@ def log_share_left(
     """ln of the share of undetected landmarks left at a place.
 
     Args:
-        looks: number of snapshots so far.
-        viewpoints: (K, 2) places of the vehicle [m].
-        viewpoint_looks: (K,) number of snapshots near each.
+        undetected: from where how often nothing new was detected.
         ue_height: z of the vehicle's antenna [m].
         position: (3,) [m].
         kind: VA or SP.
@@ -95,12 +92,13 @@ def log_share_left(
     """
     least, total = math.log(floor), 0.0
     if kind != SP:
-        total = looks * math.log1p(-min(probability, LARGEST_PROBABILITY))
+        total = undetected.looks * math.log1p(-min(probability, LARGEST_PROBABILITY))
     else:
+        viewpoints = undetected.viewpoints
         for k in range(len(viewpoints)):
             away = apart(viewpoints[k, 0], viewpoints[k, 1], ue_height, position)
             seen = detection_probability(kind, away, spread, probability, view)
-            total += viewpoint_looks[k] * math.log1p(-min(seen, LARGEST_PROBABILITY))
+            total += undetected.viewpoint_looks[k] * math.log1p(-min(seen, LARGEST_PROBABILITY))
     return max(total, least)
 
 
@@ -112,10 +110,9 @@ def apart(x: float, y: float, z: float, position: FloatArray) -> float:
 
 
 @compiled
-def looked_from(
-    viewpoints: FloatArray, viewpoint_looks: IntArray, x: float, y: float, view: float
-) -> tuple[FloatArray, IntArray]:
-    """Viewpoints (K, 2) and the snapshots near each (K,) after one more, taken from (x, y) [m]."""
+def looked_from(undetected: Undetected, x: float, y: float, view: float) -> Undetected:
+    """After one more snapshot, taken from (x, y) [m]."""
+    viewpoints, viewpoint_looks = undetected.viewpoints, undetected.viewpoint_looks
     count = len(viewpoints)
     nearest, least, most = 0, math.inf, 0.0
     away = np.empty(count)
@@ -127,7 +124,7 @@ def looked_from(
     if least < SPACING * view:
         looks = viewpoint_looks.copy()
         looks[nearest] += 1
-        return viewpoints, looks
+        return Undetected(undetected.looks + 1, viewpoints, looks)
     # What is beyond two fields of view cannot overlap with this one.
     limit = math.inf
     if most > 2.0 * view or count > MOST_VIEWPOINTS:
@@ -143,4 +140,4 @@ def looked_from(
             looks[filled] = viewpoint_looks[k]
             filled += 1
     more[filled, 0], more[filled, 1], looks[filled] = x, y, 1
-    return more, looks
+    return Undetected(undetected.looks + 1, more, looks)

@@ -65,7 +65,8 @@ def consider(density: Density, updated: Updated, weight: FloatArray, joint: bool
     """
     n = len(density.mean)
     mean, covariance = density.mean.copy(), density.covariance.copy()
-    mean[:UE] = 0.0
+    for i in range(UE):
+        mean[i] = 0.0
     shares = np.empty(len(weight))
     for h in range(len(weight)):
         shares[updated.place[h]] = weight[h]
@@ -101,8 +102,6 @@ def consider(density: Density, updated: Updated, weight: FloatArray, joint: bool
         density.component_weight,
         density.track_id,
         density.existence,
-        density.looks,
-        density.viewpoints,
-        density.viewpoint_looks,
+        density.undetected,
         density.next_id,
     )

@@ -10,7 +10,6 @@ from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.channel import DIM
 from dopslam_ros.core.kernels.compiled import compiled, part, part_of_one
 from dopslam_ros.core.kernels.records import NONE, UE, Conditioned, Constants, Density, Updated
-from dopslam_ros.core.kernels.update import add_row
 
 
 @part_of_one
@@ -151,9 +150,7 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
         of_type,
         ids,
         exist,
-        density.looks,
-        density.viewpoints,
-        density.viewpoint_looks,
+        density.undetected,
         density.next_id,
     )
 
@@ -244,33 +241,36 @@ def spread(
         low = 0 if block == 0 else UE + 3 * (block - 1)
         high = UE if block == 0 else low + 3
         begin = 0 if joint else low
-        weigh_together(roots, block, together)
+        weigh_together(roots, 0, len(roots), block, together)
         for i in range(low, high):
             for j in range(begin, i + 1):
                 covariance[i, j] = together[j] * updated.covariance[index[i], index[j]]
         for branch in range(branches):
             first, last = updated.first[branch], updated.last[branch]
-            if weigh_together(roots[first:last], block, together):
+            if weigh_together(roots, first, last, block, together):
                 for i in range(low, high):
-                    subtract_weighted(
-                        gains[branch], i, together[begin : i + 1], covariance[i, begin : i + 1]
-                    )
+                    subtract_weighted(gains, branch, i, begin, together, covariance)
         for i in range(low, high):
-            row = covariance[i, begin : i + 1]
             for h in range(len(deviation)):
-                if deviation[h, i] != 0.0:
-                    add_row(deviation[h, i], deviation[h, begin : i + 1], row)
+                factor = deviation[h, i]
+                if factor != 0.0:
+                    for j in range(begin, i + 1):
+                        covariance[i, j] += factor * deviation[h, j]
             for j in range(begin, i):
                 covariance[j, i] = covariance[i, j]
     return covariance
 
 
 @part
-def weigh_together(roots: FloatArray, block: int, together: FloatArray) -> bool:
+def weigh_together(
+    roots: FloatArray, first: int, last: int, block: int, together: FloatArray
+) -> bool:
     """The weight that some hypotheses have between a block and those up to it.
 
     Args:
-        roots: (H, 1 + K) of the hypotheses.
+        roots: (H, 1 + K) of all hypotheses.
+        first: of those that count.
+        last: one beyond them.
         block: 0 the vehicle, then the components.
         together: (n,) result: of each column up to the end of the block.
 
@@ -280,7 +280,7 @@ def weigh_together(roots: FloatArray, block: int, together: FloatArray) -> bool:
     own = 0.0
     for other in range(block + 1):
         total = 0.0
-        for at in range(len(roots)):
+        for at in range(first, last):
             total += roots[at, block] * roots[at, other]
         own = total
         if other == 0:
@@ -293,15 +293,21 @@ def weigh_together(roots: FloatArray, block: int, together: FloatArray) -> bool:
 
 
 @part
-def subtract_weighted(g: FloatArray, i: int, together: FloatArray, row: FloatArray) -> None:
-    """Takes together (m,) times row i of W'W, W = g (6, n), from row (m,) up to column i."""
-    begin = i + 1 - len(row)
-    f0, f1, f2, f3, f4, f5 = g[0, i], g[1, i], g[2, i], g[3, i], g[4, i], g[5, i]
-    g0, g1, g2 = g[0, begin : i + 1], g[1, begin : i + 1], g[2, begin : i + 1]
-    g3, g4, g5 = g[3, begin : i + 1], g[4, begin : i + 1], g[5, begin : i + 1]
-    for j in range(len(row)):
-        row[j] -= together[j] * (
-            (f0 * g0[j] + f1 * g1[j] + f2 * g2[j]) + (f3 * g3[j] + f4 * g4[j] + f5 * g5[j])
+def subtract_weighted(
+    gains: FloatArray,
+    branch: int,
+    i: int,
+    begin: int,
+    together: FloatArray,
+    covariance: FloatArray,
+) -> None:
+    """Takes together (n,) times W'W, W = gains[branch] (6, n), from row i up to the diagonal."""
+    g, b = gains, branch
+    f0, f1, f2, f3, f4, f5 = g[b, 0, i], g[b, 1, i], g[b, 2, i], g[b, 3, i], g[b, 4, i], g[b, 5, i]
+    for j in range(begin, i + 1):
+        covariance[i, j] -= together[j] * (
+            (f0 * g[b, 0, j] + f1 * g[b, 1, j] + f2 * g[b, 2, j])
+            + (f3 * g[b, 3, j] + f4 * g[b, 4, j] + f5 * g[b, 5, j])
         )
 
 

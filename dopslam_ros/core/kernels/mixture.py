@@ -6,6 +6,4 @@ from dopslam_ros.core.kernels import step
 from dopslam_ros.core.kernels.compiled import exposed
 
 rank = exposed(step.rank)
-continued = exposed(step.continued)
-conclude = exposed(step.conclude)
 name = exposed(step.name)

@@ -109,7 +109,9 @@ def augment(
             birth_track[j] = tracks + new_tracks
             new_tracks += 1
     track_id, existence = np.empty(tracks + new_tracks, np.int64), np.empty(tracks + new_tracks)
-    track_id[:tracks], existence[:tracks] = density.track_id, density.existence
+    # Number by number: to put an array into a slice the compiler takes as long as for all the rest.
+    for t in range(tracks):
+        track_id[t], existence[t] = density.track_id[t], density.existence[t]
     next_id = density.next_id
     for j in range(len(numbered)):
         if born.kept[j]:
@@ -120,9 +122,13 @@ def augment(
     origin, axes = np.empty((total, 3)), np.empty((total, 3, 3))
     owner, types = np.empty(total, np.int64), np.empty(total, np.int64)
     weight, offset = np.empty(total), np.empty((count, 3))
-    origin[:components], axes[:components] = density.origin, density.axes
-    owner[:components], types[:components] = density.component_track, density.component_type
-    weight[:components] = density.component_weight
+    for c in range(components):
+        owner[c], types[c] = density.component_track[c], density.component_type[c]
+        weight[c] = density.component_weight[c]
+        for i in range(3):
+            origin[c, i] = density.origin[c, i]
+            for j in range(3):
+                axes[c, i, j] = density.axes[c, i, j]
     for birth in range(count):
         at = components + birth
         origin[at, 0], origin[at, 1] = density.mean[0], density.mean[1]
@@ -132,9 +138,8 @@ def augment(
         weight[at] = share[birth]
         for i in range(3):
             offset[birth, i] = births.position[kind[birth], path[birth], i] - origin[at, i]
-    own_axes = np.empty((count, 3, 3))
+    own_axes = axes[components:]
     frames(offset, own_axes)
-    axes[components:] = own_axes
     mean, covariance = append(density, births, path, kind, offset, own_axes)
     return (
         Density(
@@ -147,9 +152,7 @@ def augment(
             weight,
             track_id,
             existence,
-            density.looks,
-            density.viewpoints,
-            density.viewpoint_looks,
+            density.undetected,
             next_id,
         ),
         birth_track,
@@ -178,8 +181,10 @@ def append(
     n = len(density.mean)
     total = n + 3 * len(path)
     mean, covariance = np.zeros(total), np.zeros((total, total))
-    mean[:n] = density.mean
-    covariance[:n, :n] = density.covariance
+    for i in range(n):
+        mean[i] = density.mean[i]
+        for j in range(n):
+            covariance[i, j] = density.covariance[i, j]
     spread, gain = np.empty((3, 3)), np.empty((3, UE))
     for birth in range(len(path)):
         k, j = kind[birth], path[birth]

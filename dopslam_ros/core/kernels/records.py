@@ -53,8 +53,60 @@ class Constants(NamedTuple):
     joint: bool
 
 
+class Undetected(NamedTuple):
+    """From where how often nothing new was detected.
+
+    Attributes:
+        looks: number of snapshots so far.
+        viewpoints: (K, 2) places of the vehicle [m], those whose field of view still matters.
+        viewpoint_looks: (K,) number of snapshots near each.
+    """
+
+    looks: int
+    viewpoints: FloatArray
+    viewpoint_looks: IntArray
+
+
+class Regressions(NamedTuple):
+    """What ties N landmarks out of view to A virtual anchors; see ``filter.sleepers.Sleepers``.
+
+    Attributes:
+        anchors: (N, A) track ids of the anchors, 0 where a place is not used.
+        anchor_q: (N, 3 A) placements of the anchors then.
+        gain: (N, 3, 3 A) dq / d anchor_q.
+        q: (N, 3) placements then.
+        covariance: (N, 3, 3) of q then.
+        residual: (N, 3, 3) covariance of q given the anchors.
+    """
+
+    anchors: IntArray
+    anchor_q: FloatArray
+    gain: FloatArray
+    q: FloatArray
+    covariance: FloatArray
+    residual: FloatArray
+
+
 class Density(NamedTuple):
-    """What is awake of a ``FilterState``, which says what is what."""
+    """A PMB density: a Gaussian over vehicle and landmark components, the rest per landmark.
+
+    A landmark (track) has a component for each type it may still be. The joint vector is
+    [s; q_1 ... q_C], q the range and direction of a component in its own frame (see
+    ``placement``); with ``coupling: marginal`` the covariance is block diagonal between steps.
+
+    Attributes:
+        mean: (4 + 3 C,) x [m], y [m], heading [rad], clock bias [m], then q of the components.
+        covariance: (4 + 3 C, 4 + 3 C).
+        origin: (C, 3) where the frames of the components are [m].
+        axes: (C, 3, 3) their axes, in columns.
+        component_track: (C,) index of the track each component belongs to, ascending.
+        component_type: (C,) VA or SP.
+        component_weight: (C,) probability of the type, given that the track exists.
+        track_id: (T,) stable ids, from 1 on (0 is the BS).
+        existence: (T,) probability that the landmark exists, r.
+        undetected: where landmarks never detected may still be.
+        next_id: the id of the next new track.
+    """
 
     mean: FloatArray
     covariance: FloatArray
@@ -65,9 +117,7 @@ class Density(NamedTuple):
     component_weight: FloatArray
     track_id: IntArray
     existence: FloatArray
-    looks: int
-    viewpoints: FloatArray
-    viewpoint_looks: IntArray
+    undetected: Undetected
     next_id: int
 
 

@@ -211,7 +211,7 @@ def settle(
     information, step, column = np.empty((UE, UE)), np.empty(UE), np.empty(DIM)
     cost = math.inf
     for _ in range(ROUNDS):
-        information[:] = 0.0
+        information.fill(0.0)
         for i in range(UE):
             information[i, i] = DAMPING[i]
             step[i] = 0.0
@@ -249,7 +249,7 @@ def settle(
         if length < SETTLED and abs(step[2]) < 1e-3 * SETTLED and abs(step[3]) < SETTLED:
             break
     for p in range(UE):
-        step[:] = 0.0
+        step.fill(0.0)
         step[p] = 1.0
         forward(information, step, UE)
         backward(information, step, UE)
@@ -485,7 +485,7 @@ def locate(
             if not start_from(world, m, heard.values[j], bias, poses[count]):
                 continue
             given = givens[count]
-            given[:] = FREE
+            given.fill(FREE)
             given[j] = m
             cost = settle(poses[count], bias, world, heard, given, spreads[count], work)
             if cost > heard.gate[DIM]:

@@ -68,6 +68,28 @@ def backward(lower: FloatArray, x: FloatArray, n: int) -> None:
 
 
 @part
+def solve_bordered(a: FloatArray, n: int) -> float:
+    """Solves L L' x = y, L the lower triangle of a (n + 1, n + 1), y its last row, which becomes x.
+
+    Returns:
+        The squared length of L^-1 y.
+    """
+    size = 0.0
+    for i in range(n):
+        entry = a[n, i]
+        for k in range(i):
+            entry -= a[i, k] * a[n, k]
+        a[n, i] = entry / a[i, i]
+        size += a[n, i] * a[n, i]
+    for i in range(n - 1, -1, -1):
+        entry = a[n, i]
+        for k in range(i + 1, n):
+            entry -= a[k, i] * a[n, k]
+        a[n, i] = entry / a[i, i]
+    return size
+
+
+@part
 def log_determinant(lower: FloatArray, n: int) -> float:
     """ln det(L L')."""
     total = 0.0

@@ -79,7 +79,7 @@ def rank(density: Density, observed: Observed, speed: float, constants: Constant
     return Ranked(evidence, births, weights, best, born, sound)
 
 
-@part
+@compiled
 def continued(
     density: Density,
     ranked: Ranked,
@@ -95,7 +95,7 @@ def continued(
     return Conditioned(augmented, birth_track, updated, existence, type_weight)
 
 
-@part
+@compiled
 def conclude(
     weight: FloatArray, conditioned: Conditioned, constants: Constants
 ) -> tuple[Density, bool]:
@@ -112,9 +112,7 @@ def conclude(
     merged = merge(weight, conditioned, constants)
     mean = merged.mean
     mean[2] = wrapped(mean[2])
-    viewpoints, looks = looked_from(
-        merged.viewpoints, merged.viewpoint_looks, mean[0], mean[1], constants.sight
-    )
+    undetected = looked_from(merged.undetected, mean[0], mean[1], constants.sight)
     after = Density(
         mean,
         merged.covariance,
@@ -125,9 +123,7 @@ def conclude(
         merged.component_weight,
         merged.track_id,
         merged.existence,
-        merged.looks + 1,
-        viewpoints,
-        looks,
+        undetected,
         merged.next_id,
     )
     return after, some_left_behind(after, constants.sight)
@@ -162,7 +158,8 @@ def name(
             for k in range(observed.used.shape[1]):
                 dof += observed.used[j, k]
     sources = np.zeros(len(weights.missed), np.int64)
-    sources[1:] = track_id[: len(sources) - 1]
+    for row in range(1, len(sources)):
+        sources[row] = track_id[row - 1]
     return Associations(
         ids,
         best.weight,

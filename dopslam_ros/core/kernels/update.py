@@ -13,7 +13,7 @@ from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.channel import DIM
 from dopslam_ros.core.kernels.compiled import part, part_of_one
 from dopslam_ros.core.kernels.records import NONE, UE, Evidence, Observed, Updated
-from dopslam_ros.core.kernels.small import cholesky
+from dopslam_ros.core.kernels.small import cholesky, forward, forward_columns
 
 # Paths that are worked into a covariance in one go: their rows W must fit into the cache.
 BLOCK = 8
@@ -50,102 +50,119 @@ def project(
         v' S^-1 v of the innovation v given the paths before, so that the sum over a hypothesis is
         that of all its paths jointly; NaN where S is not positive definite.
     """
-    a, b = evidence.ue_jacobian[source], evidence.landmark_jacobian[source]
-    used = observed.used[path]
-    column = UE + 3 * (source - 1)
-    s, v = observed.noise[path].copy(), evidence.innovation[source, path].copy()
-    w[:, :] = 0.0
+    # Arrays and indices, not views: each view costs more than what is read through it.
+    a, b, used = evidence.ue_jacobian, evidence.landmark_jacobian, observed.used
+    column, n = UE + 3 * (source - 1), len(mean)
+    s, v, f = np.empty((DIM, DIM)), np.empty(DIM), np.empty((DIM, DIM))
     for c in range(DIM):
-        if not used[c]:
-            continue
-        row = w[c]
-        for i in range(UE):
-            v[c] -= a[c, i] * (mean[i] - prior[i])
-            add_row(a[c, i], covariance[i], row)
-        if source > 0:
-            for i in range(3):
-                v[c] -= b[c, i] * (mean[column + i] - prior[column + i])
-                add_row(b[c, i], covariance[column + i], row)
-        for before in chain:
-            subtract_earlier(gains[before], column, a[c], b[c], row)
+        v[c] = evidence.innovation[source, path, c]
         for other in range(c + 1):
-            if used[other]:
-                for j in range(UE):
-                    s[c, other] += row[j] * a[other, j]
-                if source > 0:
-                    for j in range(3):
-                        s[c, other] += row[column + j] * b[other, j]
+            s[c, other] = observed.noise[path, c, other]
+        if not used[path, c]:
+            for j in range(n):
+                w[c, j] = 0.0
+            continue
+        a0, a1, a2, a3 = a[source, c, 0], a[source, c, 1], a[source, c, 2], a[source, c, 3]
+        for i in range(UE):
+            v[c] -= a[source, c, i] * (mean[i] - prior[i])
+        if source == 0:
+            for j in range(n):
+                w[c, j] = (a0 * covariance[0, j] + a1 * covariance[1, j]) + (
+                    a2 * covariance[2, j] + a3 * covariance[3, j]
+                )
+            continue
+        b0, b1, b2 = b[source, c, 0], b[source, c, 1], b[source, c, 2]
+        for i in range(3):
+            v[c] -= b[source, c, i] * (mean[column + i] - prior[column + i])
+        for j in range(n):
+            w[c, j] = (
+                a0 * covariance[0, j]
+                + a1 * covariance[1, j]
+                + a2 * covariance[2, j]
+                + a3 * covariance[3, j]
+            ) + (
+                b0 * covariance[column, j]
+                + b1 * covariance[column + 1, j]
+                + b2 * covariance[column + 2, j]
+            )
+    for before in chain:
+        multiply_gain(gains, before, a, b, source, f)
+        for c in range(DIM):
+            if used[path, c]:
+                subtract_rows(gains, before, f, c, w, c, n)
+    for c in range(DIM):
+        if not used[path, c]:
+            continue
+        for other in range(c + 1):
+            if not used[path, other]:
+                continue
+            for j in range(UE):
+                s[c, other] += w[c, j] * a[source, other, j]
+            if source > 0:
+                for j in range(3):
+                    s[c, other] += w[c, column + j] * b[source, other, j]
     if not cholesky(s, len(s)):
         return np.nan
-    distance = 0.0
-    for k in range(DIM):
-        row = w[k]
-        for i in range(k):
-            v[k] -= s[k, i] * v[i]
-            add_row(-s[k, i], w[i], row)
-        scale = 1.0 / s[k, k]
-        v[k] *= scale
-        distance += v[k] * v[k]
-        for j in range(len(row)):
-            row[j] *= scale
-        add_row(v[k], row, mean)
+    forward_columns(s, w, len(s))
+    forward(s, v, len(s))
+    v0, v1, v2, v3, v4, v5 = v[0], v[1], v[2], v[3], v[4], v[5]
+    for j in range(n):
+        mean[j] += (v0 * w[0, j] + v1 * w[1, j] + v2 * w[2, j]) + (
+            v3 * w[3, j] + v4 * w[4, j] + v5 * w[5, j]
+        )
+    distance: float = (v0 * v0 + v1 * v1 + v2 * v2) + (v3 * v3 + v4 * v4 + v5 * v5)
     return distance
 
 
 @part
-def add_row(factor: float, row: FloatArray, total: FloatArray) -> None:
-    """total (n,) += factor row (n,)."""
-    if factor != 0.0:
-        for j in range(len(total)):
-            total[j] += factor * row[j]
-
-
-@part
-def subtract_earlier(
-    g: FloatArray, column: int, a: FloatArray, b: FloatArray, row: FloatArray
+def multiply_gain(
+    gains: FloatArray, update: int, a: FloatArray, b: FloatArray, source: int, f: FloatArray
 ) -> None:
-    """Takes from a row of H P what an update W = g (6, n) has taken from P; column < 4 for the BS.
+    """H W' of a source and an update, so that f W is what the update has taken from H P.
 
     Args:
-        g: (6, n).
-        column: where the component's block begins, less than 4 for the BS.
-        a: (4,) row of the Jacobian by the vehicle.
-        b: (3,) by the component.
-        row: (n,).
+        gains: (B, 6, n) W of the updates.
+        update: which of them.
+        a: (C + 1, 6, 4) Jacobians by the vehicle.
+        b: (C + 1, 6, 3) by the components.
+        source: whose.
+        f: (6, 6) result.
     """
-    f = np.empty(DIM)
-    for k in range(DIM):
-        total = 0.0
-        for i in range(UE):
-            total += a[i] * g[k, i]
-        if column >= UE:
-            for i in range(3):
-                total += b[i] * g[k, column + i]
-        f[k] = total
-    subtract_rows(g, f, row)
+    column = UE + 3 * (source - 1)
+    for c in range(DIM):
+        for k in range(DIM):
+            total = 0.0
+            for i in range(UE):
+                total += a[source, c, i] * gains[update, k, i]
+            if source > 0:
+                for i in range(3):
+                    total += b[source, c, i] * gains[update, k, column + i]
+            f[c, k] = total
 
 
 @part
-def subtract_rows(g: FloatArray, f: FloatArray, row: FloatArray) -> None:
-    """row (m,) -= f (6,) g (6, n), of which the first m columns count."""
-    f0, f1, f2, f3, f4, f5 = f[0], f[1], f[2], f[3], f[4], f[5]
-    g0, g1, g2, g3, g4, g5 = g[0], g[1], g[2], g[3], g[4], g[5]
-    for j in range(len(row)):
-        row[j] -= (f0 * g0[j] + f1 * g1[j] + f2 * g2[j]) + (f3 * g3[j] + f4 * g4[j] + f5 * g5[j])
+def subtract_rows(
+    gains: FloatArray, update: int, f: FloatArray, c: int, rows: FloatArray, row: int, n: int
+) -> None:
+    """Takes the first n entries of f[c] W, W = gains[update] (6, n), from those of rows[row]."""
+    f0, f1, f2, f3, f4, f5 = f[c, 0], f[c, 1], f[c, 2], f[c, 3], f[c, 4], f[c, 5]
+    for j in range(n):
+        rows[row, j] -= (
+            f0 * gains[update, 0, j] + f1 * gains[update, 1, j] + f2 * gains[update, 2, j]
+        ) + (f3 * gains[update, 3, j] + f4 * gains[update, 4, j] + f5 * gains[update, 5, j])
 
 
 @part
 def work_in(covariance: FloatArray, gains: FloatArray, count: int) -> None:
     """Takes W'W of the first so many updates (B, 6, n) from a covariance (n, n)."""
-    f = np.empty(DIM)
+    f = np.empty((1, DIM))
     for i in range(len(covariance)):
-        row = covariance[i, : i + 1]
         for update in range(count):
             for k in range(DIM):
-                f[k] = gains[update, k, i]
-            subtract_rows(gains[update], f, row)
+                f[0, k] = gains[update, k, i]
+            subtract_rows(gains, update, f, 0, covariance, i, i + 1)
         for j in range(i):
-            covariance[j, i] = row[j]
+            covariance[j, i] = covariance[i, j]
 
 
 @part
@@ -278,7 +295,8 @@ def condition(
             length -= 1
             last[chain[length]] = at
         place[row] = at
-        means[row] = behind[chain[length - 1]] if length > 0 else trunk
+        for j in range(len(mean)):
+            means[row, j] = behind[chain[length - 1], j] if length > 0 else trunk[j]
         nis[row] = distances[chain[length - 1]] if length > 0 else distance
         for depth in range(start, paths):
             path = order[depth]
@@ -296,7 +314,9 @@ def condition(
                 observed,
                 gains[branch],
             )
-            behind[branch], distances[branch], first[branch] = means[row], nis[row], at
+            for j in range(len(mean)):
+                behind[branch, j] = means[row, j]
+            distances[branch], first[branch] = nis[row], at
             chain[length], depths[length] = branch, depth
             length += 1
             branch += 1

@@ -46,8 +46,7 @@ def state_with(
     scale = np.sqrt(np.diag(correlation))
     std = np.concatenate([[0.3, 0.3, 0.01, 0.3], np.tile([0.3, 0.004, 0.004], len(place))])
     start = initial_filter_state(PARAMETERS)
-    return replace(
-        start,
+    return start.but(
         mean=np.concatenate([[0.0, 0.0, 1.0, 300.0], placements(origin, axes, place).ravel()]),
         covariance=correlation / np.outer(scale, scale) * np.outer(std, std),
         origin=origin,
@@ -68,7 +67,7 @@ SCENE = ([[200.0, 0.0, 40.0], FAR, NEAR, [0.0, 200.0, 40.0], [-90.0, -100.0, 8.0
 def moved(state: FilterState, x: float, y: float) -> FilterState:
     mean = state.mean.copy()
     mean[:2] = x, y
-    return replace(state, mean=mean)
+    return state.but(mean=mean)
 
 
 def test_only_scattering_points_out_of_view_fall_asleep() -> None:
@@ -111,7 +110,7 @@ def test_a_sleeper_learns_what_its_anchors_learn() -> None:
     shrunk = asleep.covariance.copy()
     factor = np.ones(len(shrunk))
     factor[[4, 5, 6, 10, 11, 12]] = 0.5
-    state = replace(asleep, mean=learnt, covariance=shrunk * np.outer(factor, factor))
+    state = asleep.but(mean=learnt, covariance=shrunk * np.outer(factor, factor))
     everybody = state.asleep.everybody
     assert everybody is not None
     q, covariance = as_of_now(state, everybody)
@@ -148,7 +147,7 @@ def test_what_hardly_exists_is_forgotten_when_it_is_left_behind() -> None:
     state = state_with(*SCENE)
     existence = state.existence.copy()
     existence[[1, 2]] = 0.5 * FORGOTTEN
-    state = fall_asleep(replace(state, existence=existence), PARAMETERS)
+    state = fall_asleep(state.but(existence=existence), PARAMETERS)
     assert sorted(state.all_track_ids.tolist()) == [1, 3, 4, 5]
 
 

@@ -157,7 +157,7 @@ def test_covariance_and_correlation_against_sampling(name: str) -> None:
     vehicles = rng.multivariate_normal(STATE.ue_mean, prior, count)
     values = np.vstack([h(vehicle, landmark[None], kind) for vehicle in vehicles])
     values = values + rng.normal(0.0, std, values.shape)
-    births = fit(values, replace(STATE, covariance=prior), parameters)
+    births = fit(values, STATE.but(covariance=prior), parameters)
     assert np.isfinite(births.log_intensity[kind]).all()
 
     error = landmark - births.position[kind]
@@ -241,7 +241,7 @@ def test_intensity_at_the_edge_of_the_field_of_view_against_integration() -> Non
 
 def test_the_intensity_is_proportional_to_what_is_left_undetected() -> None:
     looked = looked_from(nothing_seen(), STATE.ue_mean[:2], PARAMETERS)
-    after = replace(STATE, undetected=looked)
+    after = STATE.but(undetected=looked)
     for kind, place in ((0, VA), (1, SP)):  # both in view
         values = h(STATE.ue_mean, place[None], kind)
         ratio = fit(values, after).log_intensity - fit(values).log_intensity
@@ -300,8 +300,8 @@ def test_the_fit_solves_its_normal_equations(name: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     parameters = FilterParameters()
     root = np.diag([0.3, 0.3, 0.005, 0.3]) @ rng.normal(size=(4, 4))
-    state = replace(STATE, covariance=root @ root.T + 1e-5 * np.eye(4))
-    state = replace(state, undetected=looked_from(nothing_seen(), np.zeros(2), parameters))
+    state = STATE.but(covariance=root @ root.T + 1e-5 * np.eye(4))
+    state = state.but(undetected=looked_from(nothing_seen(), np.zeros(2), parameters))
     observed = prepare(drawn(rng, kind, place), parameters)
     births = propose(state, observed, SPEED, parameters)
     fitted = np.flatnonzero(np.isfinite(births.log_intensity[kind]))

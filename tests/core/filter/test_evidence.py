@@ -69,8 +69,7 @@ def two_track_state(seed: int = 0) -> FilterState:
     scale = np.sqrt(np.diag(correlation))
     std = np.array([0.3, 0.3, 0.01, 0.3, 2.0, 0.02, 0.02, *[1.0, 0.03, 0.03] * 2])
     covariance = correlation / np.outer(scale, scale) * np.outer(std, std)
-    return replace(
-        initial_filter_state(PARAMETERS),
+    return initial_filter_state(PARAMETERS).but(
         mean=np.concatenate([ue, placements(origin, axes, position).ravel()]),
         covariance=covariance,
         origin=origin,
@@ -86,7 +85,7 @@ def two_track_state(seed: int = 0) -> FilterState:
 
 def h(state: FilterState, mean: FloatArray) -> FloatArray:
     """(C + 1, 6) what would be heard if the joint vector were ``mean``."""
-    moved = replace(state, mean=mean)
+    moved = state.but(mean=mean)
     places = np.vstack([PARAMETERS.bs, moved.positions])
     types = np.concatenate([[0], state.component_type])
     return observe(moved.ue_mean, SPEED, places, types, PARAMETERS.bs).mean
@@ -165,7 +164,7 @@ def test_a_young_landmark_foresees_its_next_path() -> None:
     state = two_track_state()
     q = state.placements
     std = np.concatenate([[0.3, 0.3, 0.005, 0.3], *([0.1, 8.0 / r, 8.0 / r] for r in q[:, 0])])
-    state = replace(state, covariance=np.diag(std**2))
+    state = state.but(covariance=np.diag(std**2))
     fit = weigh(state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
     drawn = np.random.default_rng(0).multivariate_normal(state.mean, state.covariance, 4000)
     lengths = np.array([h(state, mean)[1, 0] for mean in drawn])  # of the VA
@@ -233,7 +232,7 @@ def test_what_vehicle_and_sp_have_in_common_does_not_blur_the_edge(correlation: 
     covariance = np.diag(np.diag(state.covariance))
     covariance[[0, 7], [0, 7]] = 9.0  # both 3 m unsure along the line between them
     covariance[0, 7] = covariance[7, 0] = 9.0 * correlation
-    state = replace(state, covariance=covariance)
+    state = state.but(covariance=covariance)
     fit = weigh(state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
     assert fit.detection[2] == pytest.approx(0.9 * share_inside(state, 40_000), abs=0.02)
 
@@ -244,7 +243,7 @@ def with_sp_at(state: FilterState, position: list[float]) -> FilterState:
     axes[1] = frames(place - origin)[0]
     mean = state.mean.copy()
     mean[7:10] = placements(origin, axes[1:2], place)[0]
-    return replace(state, mean=mean, axes=axes)
+    return state.but(mean=mean, axes=axes)
 
 
 def share_inside(state: FilterState, count: int) -> float:

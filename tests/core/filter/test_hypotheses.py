@@ -35,8 +35,7 @@ def associate(
 def state_of(tracks: list[int]) -> FilterState:
     """Tracks with so many components each; only the counts matter here."""
     owner = np.repeat(np.arange(len(tracks)), tracks)
-    return replace(
-        initial_filter_state(PARAMETERS),
+    return initial_filter_state(PARAMETERS).but(
         component_track=owner,
         track_id=np.arange(1, len(tracks) + 1),
     )
@@ -173,8 +172,7 @@ def test_a_type_with_next_to_no_share_gets_no_hypothesis() -> None:
 
 
 def test_local_weights_of_what_is_sure_or_impossible() -> None:
-    state = replace(
-        state_of([1, 2, 1]),
+    state = state_of([1, 2, 1]).but(
         existence=np.array([0.0, 1.0, 0.5]),
         component_weight=np.array([1.0, 1.0, 0.0, 1.0]),
     )

@@ -158,4 +158,4 @@ def test_moments_of_the_vehicle_are_those_of_a_sample() -> None:
 def moved(state: FilterState, offset: list[float]) -> FilterState:
     mean = state.mean.copy()
     mean[:4] += offset
-    return replace(state, mean=mean)
+    return state.but(mean=mean)

@@ -47,8 +47,7 @@ def with_map(parameters: FilterParameters, positions: FloatArray, types: list[in
     axes = frames(positions - origin)
     q = placements(origin, axes, positions)
     std = 0.5 / np.stack([np.ones(count), q[:, 0], q[:, 0]], axis=1)
-    return replace(
-        start,
+    return start.but(
         mean=np.concatenate([start.mean, q.ravel()]),
         covariance=block_diag(start.covariance, np.diag(std.ravel() ** 2)),
         origin=origin,
@@ -156,7 +155,7 @@ def test_predict_moves_the_vehicle_and_its_correlations_only() -> None:
     rng = np.random.default_rng(0)
     root = rng.normal(size=(10, 10))
     state = with_map(parameters, rng.normal(0.0, 50.0, (2, 3)), [1, 2])
-    state = replace(state, covariance=root @ root.T + np.eye(10))
+    state = state.but(covariance=root @ root.T + np.eye(10))
     predicted = predict(state, [SPAN], parameters)
     ekf = HandWrittenEkf(parameters)
     f = np.eye(10)
@@ -314,8 +313,7 @@ def test_the_map_is_reported_by_existence_and_spread() -> None:
     state = with_map(parameters, np.arange(12.0).reshape(4, 3), [1, 2, 2, 1])
     covariance = state.covariance.copy()
     covariance[7, 7] = 150.0  # the second: root of the trace is 12 m
-    state = replace(
-        state,
+    state = state.but(
         covariance=covariance,
         component_track=np.array([0, 1, 2, 2]),
         component_weight=np.array([1.0, 1.0, 0.4, 0.6]),

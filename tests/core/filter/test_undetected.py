@@ -35,9 +35,7 @@ def left(
     parameters: FilterParameters = PARAMETERS,
 ) -> float:
     log_share = log_share_left(
-        undetected.looks,
-        undetected.viewpoints,
-        undetected.viewpoint_looks,
+        undetected,
         float(parameters.ue_height),
         np.array(position),
         kind,

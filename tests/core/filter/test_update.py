@@ -51,8 +51,7 @@ def state_of(
     kinds = [kind for track in tracks for kind in track]
     owner = [number for number, track in enumerate(tracks) for _ in track]
     n = 4 + 3 * len(kinds)
-    return replace(
-        initial_filter_state(PARAMETERS),
+    return initial_filter_state(PARAMETERS).but(
         mean=rng.normal(0.0, 5.0, n),
         covariance=random_covariance(rng, n),
         origin=rng.normal(0.0, 50.0, (len(kinds), 3)),
@@ -319,8 +318,7 @@ def test_merge_weights_every_component_by_what_supports_it(seed: int, coupling: 
 
 def test_judge_follows_bayes() -> None:
     rng = np.random.default_rng(3)
-    state = replace(
-        state_of(rng, [[1, 2], [2]]),
+    state = state_of(rng, [[1, 2], [2]]).but(
         existence=np.array([0.6, 0.9]),
         component_weight=np.array([0.7, 0.3, 1.0]),
     )
@@ -353,7 +351,7 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     ranked = Hypotheses(track, track, np.array([0.4, 0.6]), 0.0)
     born = newborn(births.log_intensity, new, ranked, PARAMETERS.prune_existence)
     density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
-    after = FilterState.of(density, state.asleep)
+    after = FilterState(density, state.asleep)
     assert birth_track.tolist() == [1, UNASSIGNED, 2]
     assert after.track_id.tolist() == [1, 2, 3] and after.next_id == 4
     np.testing.assert_allclose(after.existence, [0.9, 0.5, 0.5])  # rho / (c + rho)

@@ -13,6 +13,7 @@ cholesky = exposed(small_kernels.cholesky)
 forward = exposed(small_kernels.forward)
 forward_columns = exposed(small_kernels.forward_columns)
 log_determinant = exposed(small_kernels.log_determinant)
+solve_bordered = exposed(small_kernels.solve_bordered)
 
 
 @pytest.mark.parametrize("n", range(1, 9))
@@ -31,6 +32,10 @@ def test_factor_and_solves_are_those_of_numpy(n: int) -> None:
     np.testing.assert_allclose(expected @ x, b, atol=1e-10)
     backward(lower, x, n)
     np.testing.assert_allclose(a @ x, b, atol=1e-10)
+    bordered = np.zeros((n + 1, n + 1))
+    bordered[:n, :n], bordered[n, :n] = lower, b
+    assert solve_bordered(bordered, n) == pytest.approx(b @ np.linalg.solve(a, b))
+    np.testing.assert_allclose(a @ bordered[n, :n], b, atol=1e-10)
     columns = rng.normal(size=(n, 4))
     y = columns.copy()
     forward_columns(lower, y, n)
