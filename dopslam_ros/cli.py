@@ -64,7 +64,8 @@ ENDING = """exit codes:
   0    it was done
   1    it failed: a file cannot be read or written, or results differ that should not
   2    it was asked wrongly: an option, a name or a value
-  130  Ctrl-C ended it; what was done by then is kept
+  130  Ctrl-C ended it after the step it was at, a second one at once; what bench, bounds, demo,
+       replay, simulate, study and trouble had done by then is kept
 
 completion in bash, also for this session alone:
   eval "$(register-python-argcomplete dopslam)"

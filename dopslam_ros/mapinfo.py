@@ -13,12 +13,14 @@ from dopslam_ros.core.parameters import ParameterError, declarations, from_mappi
 from dopslam_ros.core.saved import BEFORE_ALL, SNAPSHOT, Saved
 from dopslam_ros.core.statefile import VERSION
 from dopslam_ros.options import write_json
+from dopslam_ros.stopping import Stop
 from dopslam_ros.storage import read_saved
 
 
 def run(options: Any) -> int:
     """The command."""
-    about = describe(read_saved(options.file.resolve()))
+    with Stop():
+        about = describe(read_saved(options.file.resolve()))
     write_json(options.json, about)
     _print(about)
     return 0

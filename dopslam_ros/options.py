@@ -7,9 +7,7 @@ import contextlib
 import difflib
 import math
 import os
-import signal
 import sys
-import threading
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -89,43 +87,6 @@ def silence(quiet: bool) -> Iterator[None]:
         yield
 
 
-class Stop:
-    """Ctrl-C ends a loop after the item it is at; a second one ends it at once.
-
-    Attributes:
-        asked: whether Ctrl-C came.
-    """
-
-    def __init__(self) -> None:
-        self.asked = False
-
-    def __call__(self, items: Iterable[T]) -> Iterator[T]:
-        """The same items, until Ctrl-C; all of them where that is ignored."""
-        ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
-        if ignored or threading.current_thread() is not threading.main_thread():
-            yield from items
-            return
-        before = signal.signal(signal.SIGINT, self._ask)
-        try:
-            for item in items:
-                if self.asked:
-                    return
-                yield item
-        finally:
-            signal.signal(signal.SIGINT, before)
-
-    def code(self) -> int:
-        """The exit code of a command that has kept what it had; says so if it was stopped."""
-        if self.asked:
-            print("dopslam: stopped; what was done by then is kept", file=sys.stderr)
-        return 130 if self.asked else 0
-
-    def _ask(self, *_: object) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
-
-
 def nearest_file(options: Any) -> str:
     """A hint at the file beside one that was to be read and is not there."""
     for name in ("bag", "old", "study", "file", "map"):
@@ -174,21 +135,14 @@ def check_files(options: Any) -> None:
 
 
 def with_progress(
-    items: Iterable[T],
-    total: int | None,
-    description: str,
-    done: int = 0,
-    stop: Stop | None = None,
+    items: Iterable[T], total: int | None, description: str, done: int = 0
 ) -> Iterable[T]:
-    """The same items, with a bar on a terminal; ``done`` of the total were there before.
-
-    With ``stop`` they end at Ctrl-C.
-    """
+    """The same items, with a bar on a terminal; ``done`` of the total were there before."""
     from tqdm import tqdm
 
     hidden = not sys.stderr.isatty()
     shown: Iterable[T] = tqdm(items, total=total, initial=done, desc=description, disable=hidden)
-    return shown if stop is None else stop(shown)
+    return shown
 
 
 def write_json(path: Path | None, content: dict[str, Any]) -> None:

@@ -43,6 +43,7 @@ from dopslam_ros.messages import (
     stamp_ns,
 )
 from dopslam_ros.replay_inputs import recorded_settings, vehicle_prefix
+from dopslam_ros.stopping import until_stopped
 
 
 @dataclass
@@ -108,7 +109,8 @@ def replay(
 
     The filter is set as it was when the bag was recorded, if the bag says so, changed by
     ``overrides``. The order of the messages within each topic counts, not how topics interleave.
-    What services did to it while it was recorded (see ``filter_events``) is done again.
+    What services did to it while it was recorded (see ``filter_events``) is done again. Ctrl-C ends
+    the replay if it is within a Stop.
 
     Args:
         reader: the bag.
@@ -144,7 +146,7 @@ def replay(
         _announce(reader, writer, prefix)
         run.write_parameters(reader, settings, overrides or {})
     run.schedule(recorded_events(reader, prefix, run.result.problems), start_map)
-    for message in progress(reader.messages(set(names))):
+    for message in until_stopped(progress(reader.messages(set(names)))):
         run.feed(message, names[message.topic])
     run.finish()
     run.result.damage = reader.damage

@@ -22,6 +22,7 @@ from dopslam_ros.messages import (
     make_ue_state,
     true_landmarks,
 )
+from dopslam_ros.stopping import until_stopped
 
 Message = tuple[topics.Topic, Any]
 
@@ -60,7 +61,7 @@ def write_simulation(
     """A run of a scenario as the simulator node would publish it; the same bytes for a seed.
 
     The models of the scenario go into the bag as the filter's parameters, so that a replay uses
-    them.
+    them. Ctrl-C ends the run if it is within a Stop.
 
     Returns:
         The number of snapshots.
@@ -81,7 +82,7 @@ def write_simulation(
     write((topics.FILTER_PARAMETERS, make_text(message_class, parameters)), start)
     write(map_message(scenario, start, frames), start)
     count = 0
-    for snapshot in progress(simulate(scenario, np.random.default_rng(seed))):
+    for snapshot in until_stopped(progress(simulate(scenario, np.random.default_rng(seed)))):
         for message in snapshot_messages(snapshot, snapshot.stamp_ns, frames):
             write(message, snapshot.stamp_ns)
         count += 1

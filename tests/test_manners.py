@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import pkgutil
 import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,8 +19,8 @@ from dopslam_ros.bag import BagReader
 from dopslam_ros.bench.suite import BENCHMARKS
 from dopslam_ros.bench.titles import TITLES
 from dopslam_ros.cli import COMMANDS, TALKERS, _parser, main
-from dopslam_ros.options import Stop
 from dopslam_ros.scenarios import builtin_scenarios
+from dopslam_ros.stopping import Stop, until_stopped
 from dopslam_ros.study.estimators import KINDS
 from dopslam_ros.study.names import FILTERS
 
@@ -138,23 +139,103 @@ def test_what_help_lists_is_there() -> None:
 def test_ctrl_c_ends_a_loop_after_its_item() -> None:
     """The item it is at is finished; a second Ctrl-C does not wait; the handler is put back."""
     before = signal.getsignal(signal.SIGINT)
-    stop, seen = Stop(), []
-    for item in stop(range(9)):
-        if item == 3:
+
+    def ended(outer: Stop, inner: Stop, times: int = 1) -> list[int]:
+        seen = []
+        with outer, inner:
+            for item in until_stopped(range(9)):
+                if item == 3:
+                    for _ in range(times):
+                        signal.raise_signal(signal.SIGINT)
+                seen.append(item)
+            assert outer.keep  # the loop has not ended as if all had been done
+        return seen
+
+    stop, inner = Stop(keep=True), Stop()
+    assert ended(stop, inner) == [0, 1, 2, 3]
+    assert stop.asked and stop.code() == 130 and not inner.asked
+    for stop, times in ((Stop(), 1), (Stop(keep=True), 2)):
+        with pytest.raises(KeyboardInterrupt):
+            ended(stop, Stop(), times)
+    with pytest.raises(KeyboardInterrupt), Stop():
+        signal.raise_signal(signal.SIGINT)
+        done = True  # what is no loop is done
+    assert done
+    assert signal.getsignal(signal.SIGINT) is before and Stop.in_force is None
+    assert list(until_stopped(range(3))) == [0, 1, 2] and Stop().code() == 0
+
+
+REPLAYED = "replay._Run.feed"
+# Where each command is when Ctrl-C comes: calling what is compiled.
+COMPILED = {
+    "simulate --scenario {scene} --out {new}": "simulation.snapshot_messages",
+    "replay {bag}": REPLAYED,
+    "report {bag} --out {new}": REPLAYED,
+    "compare {bag} {bag}:gamma=5 --json {new}": REPLAYED,
+    "demo --scenario {scene} --out {new}": REPLAYED,
+    "map {map} --json {new}": "mapinfo.reported_landmarks",
+    "bounds --json {new}": "core.study.nominal_bounds",
+    "study --scenario {scene} --runs 1 --workers 1": "study.run.judge_step",
+    "trouble --kinds kidnap none --json {new}": "study.trouble_command.trial",
+    **{
+        f"bench --quick --only {name} --json {{new}}": place
+        for name, place in (
+            ("step", "bench.steps.step"),
+            ("marginal", "bench.steps.step"),
+            ("map", "bench.steps.step"),
+            ("view", "bench.steps.step"),
+            ("replay", REPLAYED),
+            ("soak", "bench.soak.snapshot_messages"),
+            ("bounds", "bench.batch.BoundsSession.add_world"),
+            ("gospa", "bench.pieces.gospa"),
+            ("assignment", "bench.pieces.k_best_assignments"),
+        )
+    },
+}
+
+
+@pytest.mark.parametrize(("command", "place"), COMPILED.items(), ids=str)
+def test_ctrl_c_is_no_exception_within_compiled_functions(
+    command: str,
+    place: str,
+    tmp_path: Path,
+    scene: Path,
+    simulated: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
+) -> None:
+    """It would be a SystemError or a crash there: it waits for the end of the step."""
+    start, new = tmp_path / "start.dopmap", tmp_path / "new"
+    if "{map}" in command:
+        assert main(["replay", str(simulated), "--save-map", str(start)]) == 0
+    monkeypatch.setattr("dopslam_ros.demo.run_live", lambda *_: simulated)
+    compiled, calls = pkgutil.resolve_name(f"dopslam_ros.{place}"), []
+
+    def interrupted(*arguments: Any, **named: Any) -> Any:
+        if not calls:
             signal.raise_signal(signal.SIGINT)
-        seen.append(item)
-    assert seen == [0, 1, 2, 3] and stop.asked and stop.code() == 130
+        calls.append(arguments)  # no exception came
+        return compiled(*arguments, **named)
+
+    monkeypatch.setattr(f"dopslam_ros.{place}", interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    words = command.format(scene=scene, bag=simulated, map=start, new=new).split()
+    assert main(words) == 130
+    assert 1 <= len(calls) <= 3  # a step is one call, or one of each that is compared
     assert signal.getsignal(signal.SIGINT) is before
-
-    def twice() -> Iterator[int]:
-        for item in Stop()(range(9)):
-            signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGINT)
-            yield item
-
-    with pytest.raises(KeyboardInterrupt):
-        list(twice())
-    assert list(Stop()(range(3))) == [0, 1, 2] and Stop().code() == 0
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    kept = words[0] in ("bounds", "replay", "simulate", "trouble")
+    assert said == "dopslam: stopped" + kept * "; what was done by then is kept"
+    if words[0] == "bounds":
+        assert len(json.loads(new.read_text("utf-8"))["rows"]) == 1
+    if words[0] == "trouble":
+        content = json.loads(new.read_text("utf-8"))
+        assert content["stopped"] and content["kinds"]["kidnap"]["runs"] == 1
+        assert "none" not in content["kinds"]
+    if words[0] == "simulate":
+        assert BagReader(new).topics["/" + topics.CHANNEL_MEASUREMENTS.name].message_count == 1
+    if words[0] in ("report", "compare", "map"):
+        assert not new.exists()
 
 
 def test_ctrl_c_keeps_what_was_done(

@@ -23,6 +23,7 @@ from dopslam_ros.core.simulator import all_landmarks, simulate
 from dopslam_ros.core.study import bounds_parameters_for, filter_parameters_for
 from dopslam_ros.replay import replay
 from dopslam_ros.simulation import write_simulation
+from dopslam_ros.stopping import until_stopped
 from dopslam_ros.study.executors import run_local
 from dopslam_ros.study.plan import Plan
 
@@ -82,7 +83,7 @@ def bounds(quick: bool) -> Measured:
     seconds = []
     for seed in range(2 if quick else 20):
         session = BoundsSession(bounds_parameters_for(scenario))
-        for snapshot in simulate(scenario, np.random.default_rng(seed)):
+        for snapshot in until_stopped(simulate(scenario, np.random.default_rng(seed))):
             detected = np.isin(np.arange(len(types)), snapshot.sources)
             world = WorldState(snapshot.state, np.arange(len(types)), types, positions, detected)
             control = snapshot.control

@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from dopslam_ros.bench.records import Measured, NotMeasured, milliseconds, times_as_long
 from dopslam_ros.core.assignment import k_best_assignments
 from dopslam_ros.core.metrics import gospa
+from dopslam_ros.stopping import until_stopped
 
 ROWS, COLUMNS = 8, 9
 
@@ -83,7 +84,7 @@ def in_turns(problems: list[Any], *solvers: Callable[..., float]) -> list[list[f
     for solve in solvers:
         solve(*problems[0])
     seconds: list[list[float]] = [[] for _ in solvers]
-    for problem in problems:
+    for problem in until_stopped(problems):
         answers = []
         for number, solve in enumerate(solvers):
             started = time.perf_counter()

@@ -23,6 +23,7 @@ from dopslam_ros.core.filter.placement import frames, placements
 from dopslam_ros.core.motion import Control
 from dopslam_ros.core.scenario import Scenario
 from dopslam_ros.core.study import filter_parameters_for
+from dopslam_ros.stopping import until_stopped
 
 MAP_SIZES = (10, 1_000, 10_000)
 VIEW_SIZES = (10, 20, 50, 100)
@@ -86,7 +87,7 @@ class _World:
     def report_seconds(self, count: int) -> list[float]:
         """Times to find where every landmark is, as when somebody asks for the map [s]."""
         seconds = []
-        for _ in range(count):
+        for _ in until_stopped(range(count)):
             started = time.perf_counter()
             reported_landmarks(self._state, self._parameters)
             seconds.append(time.perf_counter() - started)

@@ -23,6 +23,7 @@ from dopslam_ros.core.study import filter_parameters_for
 from dopslam_ros.filter_messages import FilterMessages
 from dopslam_ros.messages import Frames, read_control, read_measurements, read_message, stamp_ns
 from dopslam_ros.simulation import snapshot_messages
+from dopslam_ros.stopping import Stop, until_stopped
 
 RATE = 10.0
 SECONDS, QUICK_SECONDS = 7200.0, 60.0
@@ -90,8 +91,8 @@ def record_inputs(bag: Path, steps: int) -> None:
         BagError: it cannot be written.
     """
     scene = endless_scene(RATE, steps)
-    with BagWriter(bag, chunk_bytes=2**20, flush_seconds=None) as writer:
-        for snapshot in simulate(scene, np.random.default_rng(1)):
+    with Stop(), BagWriter(bag, chunk_bytes=2**20, flush_seconds=None) as writer:
+        for snapshot in until_stopped(simulate(scene, np.random.default_rng(1))):
             for topic, message in snapshot_messages(snapshot, snapshot.stamp_ns, Frames()):
                 name = "/" + topic.name
                 writer.add_topic(name, topic.type_name, qos=[topic.qos])

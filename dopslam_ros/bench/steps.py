@@ -19,6 +19,7 @@ from dopslam_ros.core.motion import ControlSpan
 from dopslam_ros.core.scenario import Scenario, load_scenario
 from dopslam_ros.core.simulator import simulate
 from dopslam_ros.core.study import filter_parameters_for
+from dopslam_ros.stopping import until_stopped
 
 
 class Inputs(NamedTuple):
@@ -60,7 +61,7 @@ def step_seconds(*tasks: Task) -> list[list[float]]:
     """
     densities: list[Any] = [task.start for task in tasks]
     seconds: list[list[float]] = [[] for _ in tasks]
-    for turn in zip(*(task.run for task in tasks), strict=True):
+    for turn in until_stopped(zip(*(task.run for task in tasks), strict=True)):
         for number, inputs in enumerate(turn):
             started = time.perf_counter()
             densities[number] = tasks[number].advance(densities[number], inputs)

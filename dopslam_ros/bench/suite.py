@@ -7,25 +7,39 @@ from collections.abc import Callable
 from dopslam_ros.bench import batch, live, load, pieces, scaling, soak, steps
 from dopslam_ros.bench.records import Measured, NotMeasured, Record
 from dopslam_ros.bench.titles import TITLES
+from dopslam_ros.stopping import Stop
 from dopslam_ros.study.executors import one_blas_thread
 
+Benchmark = Callable[[bool], Measured]
+
+
+def here(benchmark: Benchmark) -> Benchmark:
+    """One whose compiled functions run in this process: Ctrl-C waits for the end of a step."""
+
+    def stoppable(quick: bool) -> Measured:
+        with Stop():
+            return benchmark(quick)
+
+    return stoppable
+
+
 # Each measures in little time and roughly where it is told to be quick.
-BENCHMARKS: dict[str, Callable[[bool], Measured]] = {
-    "step": steps.joint,
-    "marginal": steps.marginal,
-    "map": scaling.map_growth,
-    "view": scaling.view_growth,
+BENCHMARKS: dict[str, Benchmark] = {
+    "step": here(steps.joint),
+    "marginal": here(steps.marginal),
+    "map": here(scaling.map_growth),
+    "view": here(scaling.view_growth),
     "study": batch.study,
-    "replay": batch.replay_of_a_bag,
+    "replay": here(batch.replay_of_a_bag),
     "nodes": live.nodes,
     "recorder": load.recorder,
     "overload": load.overload,
     "memory": batch.memory,
     "soak": soak.soak,
     "ready": live.ready,
-    "bounds": batch.bounds,
-    "gospa": pieces.gospa_metric,
-    "assignment": pieces.assignment,
+    "bounds": here(batch.bounds),
+    "gospa": here(pieces.gospa_metric),
+    "assignment": here(pieces.assignment),
 }
 
 

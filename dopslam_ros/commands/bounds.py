@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 from dopslam_ros.options import add_json, add_scenario, positive_number, write_json
+from dopslam_ros.stopping import Stop, until_stopped
 
 TEXT = "error bounds at the last step, for several Doppler noises"
 EXAMPLE = "dopslam bounds --sigma-d 0.1 0.5"
@@ -37,17 +38,18 @@ def run(options: Any) -> int:
 
     scenario = load_scenario(options.scenario)
     rows = []
-    for sigma in (*options.sigma_d, None):
-        bound = nominal_bounds(with_doppler_std(scenario, sigma))
-        rows.append(
-            {
-                "sigma_d": sigma,
-                "peb": bound.peb,
-                "heb_deg": math.degrees(bound.heb),
-                "ceb": bound.ceb,
-                "leb_mean": float(bound.leb.mean()) if len(bound.leb) else math.nan,
-            }
-        )
+    with Stop(keep=True) as stop:
+        for sigma in until_stopped((*options.sigma_d, None)):
+            bound = nominal_bounds(with_doppler_std(scenario, sigma))
+            rows.append(
+                {
+                    "sigma_d": sigma,
+                    "peb": bound.peb,
+                    "heb_deg": math.degrees(bound.heb),
+                    "ceb": bound.ceb,
+                    "leb_mean": float(bound.leb.mean()) if len(bound.leb) else math.nan,
+                }
+            )
     write_json(options.json, {"rows": rows})
     print("bounds at the last step; in brackets, ours over the paper's")
     print(f"{'sigma_d':>9} {'PEB [m]':>16} {'HEB [deg]':>16} {'CEB [m]':>16} {'mean LEB [m]':>16}")
@@ -61,4 +63,4 @@ def run(options: Any) -> int:
         ]
         name = "without" if sigma is None else f"{sigma:g} m/s"
         print(f"{name:>9} " + " ".join(f"{text:>16}" for text in texts))
-    return 0
+    return stop.code()

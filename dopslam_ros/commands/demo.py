@@ -9,6 +9,7 @@ from typing import Any
 from dopslam_ros.commands.replay import print_summary, summary_of
 from dopslam_ros.files import write_whole
 from dopslam_ros.options import add_scenario, add_seed, positive_number, write_json
+from dopslam_ros.stopping import Stop
 
 TEXT = "run the paper's scene live, record, replay, compare, draw"
 EXAMPLE = "dopslam demo --rate 5"
@@ -30,12 +31,8 @@ def run(options: Any) -> int:
     """Runs it; returns 1 if the replay is not what was recorded."""
     from tqdm import tqdm
 
-    from dopslam_ros.bag import BagReader
     from dopslam_ros.core.scenario import load_scenario
-    from dopslam_ros.demo import new_folder, replay_and_compare, run_live
-    from dopslam_ros.figures.run import draw_run
-    from dopslam_ros.report.recorded import last_reports
-    from dopslam_ros.report.run_page import run_page
+    from dopslam_ros.demo import new_folder, run_live
 
     scenario = load_scenario(options.scenario)
     seed = scenario.seed if options.seed is None else options.seed
@@ -48,6 +45,18 @@ def run(options: Any) -> int:
                 bar.update(done - bar.n)
 
         bag = run_live(options.scenario, seed, options.rate, folder, show)
+    with Stop():
+        return _replayed(bag, folder, f"{scenario.name}, seed {seed}")
+
+
+def _replayed(bag: Path, folder: Path, title: str) -> int:
+    """What follows the live run."""
+    from dopslam_ros.bag import BagReader
+    from dopslam_ros.demo import replay_and_compare
+    from dopslam_ros.figures.run import draw_run
+    from dopslam_ros.report.recorded import last_reports
+    from dopslam_ros.report.run_page import run_page
+
     replayed, different = replay_and_compare(bag, folder / "replay")
     summary = summary_of(replayed)
     write_json(folder / "result.json", summary)
@@ -55,7 +64,6 @@ def run(options: Any) -> int:
     print(f"replay against live: {different or 'all vehicle states equal, byte for byte'}")
     print_summary(summary)
     picture = folder / "run.png"
-    title = f"{scenario.name}, seed {seed}"
     draw_run(replayed, picture, title)
     print(f"picture: {picture}")
     page = folder / "report.html"

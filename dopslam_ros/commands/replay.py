@@ -9,13 +9,13 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from dopslam_ros.options import (
-    Stop,
     add_json,
     add_settings,
     read_settings,
     with_progress,
     write_json,
 )
+from dopslam_ros.stopping import Stop
 
 if TYPE_CHECKING:
     from dopslam_ros.replay import Replay
@@ -42,25 +42,25 @@ def run(options: Any) -> int:
     from dopslam_ros.storage import read_saved, write_saved
 
     reader = BagReader(options.bag)
-    stop = Stop()
-    progress = partial(with_progress, total=None, description="replay", stop=stop)
+    progress = partial(with_progress, total=None, description="replay")
     settings = read_settings(options)
-    start_map = None if options.map is None else read_saved(options.map.resolve())
-    if options.out is None:
-        done = replay(reader, settings, None, progress, start_map)
-    else:
-        with BagWriter(options.out, flush_seconds=None) as writer:
-            done = replay(reader, settings, writer, progress, start_map)
-    if options.save_map is not None and done.known_map is not None:
-        write_saved(options.save_map, done.known_map)
-    summary = summary_of(done)
-    summary["stopped"] = stop.asked
-    print_summary(summary)
-    write_json(options.json, summary)
-    if options.picture is not None:
-        from dopslam_ros.figures.run import draw_run
+    with Stop(keep=True) as stop:
+        start_map = None if options.map is None else read_saved(options.map.resolve())
+        if options.out is None:
+            done = replay(reader, settings, None, progress, start_map)
+        else:
+            with BagWriter(options.out, flush_seconds=None) as writer:
+                done = replay(reader, settings, writer, progress, start_map)
+        if options.save_map is not None and done.known_map is not None:
+            write_saved(options.save_map, done.known_map)
+        summary = summary_of(done)
+        summary["stopped"] = stop.asked
+        print_summary(summary)
+        write_json(options.json, summary)
+        if options.picture is not None:
+            from dopslam_ros.figures.run import draw_run
 
-        draw_run(done, options.picture, str(options.bag))
+            draw_run(done, options.picture, str(options.bag))
     return stop.code()
 
 

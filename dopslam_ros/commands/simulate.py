@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dopslam_ros.options import Stop, add_json, add_scenario, add_seed, with_progress, write_json
+from dopslam_ros.options import add_json, add_scenario, add_seed, with_progress, write_json
+from dopslam_ros.stopping import Stop
 
 TEXT = "write a simulated run into a bag"
 EXAMPLE = "dopslam simulate --scenario paper --seed 7 --out runs/sim7"
@@ -29,9 +30,8 @@ def run(options: Any) -> int:
 
     scenario = load_scenario(options.scenario)
     seed = scenario.seed if options.seed is None else options.seed
-    stop = Stop()
-    with BagWriter(options.out, flush_seconds=None) as writer:
-        progress = partial(with_progress, total=scenario.steps, description="simulate", stop=stop)
+    progress = partial(with_progress, total=scenario.steps, description="simulate")
+    with Stop(keep=True) as stop, BagWriter(options.out, flush_seconds=None) as writer:
         count = write_simulation(scenario, seed, writer, progress)
     content = {"scenario": scenario.name, "seed": seed, "snapshots": count}
     write_json(options.json, {**content, "bag": str(options.out), "stopped": stop.asked})

@@ -18,6 +18,7 @@ from dopslam_ros.report.comparison import compare as compare_cases
 from dopslam_ros.report.page import plotting_library
 from dopslam_ros.report.recorded import last_reports
 from dopslam_ros.report.run_page import run_page
+from dopslam_ros.stopping import Stop
 from dopslam_ros.study.table import aligned
 
 
@@ -26,11 +27,13 @@ def report(options: Any) -> int:
     plotting_library()  # missing, it is better told now than after the work
     reader = BagReader(options.bag)
     settings = read_settings(options)
-    warm_up_filter(FilterParameters())  # times of steps are not to be those of a compiler
-    run = replay(reader, settings, None, partial(with_progress, total=None, description="replay"))
+    progress = partial(with_progress, total=None, description="replay")
     bag = options.bag.resolve()
     out = options.out or Path(f"{bag.stem}.html")
-    text = run_page(run, bag.stem if bag.is_file() else bag.name, bag, last_reports(reader))
+    with Stop():
+        warm_up_filter(FilterParameters())  # times of steps are not to be those of a compiler
+        run = replay(reader, settings, None, progress)
+        text = run_page(run, bag.stem if bag.is_file() else bag.name, bag, last_reports(reader))
     write_whole(out, text.encode("utf-8"))
     print(f"{len(run.outputs)} steps of {options.bag}: open {out} in a browser")
     if run.damage:
@@ -44,9 +47,10 @@ def compare(options: Any) -> int:
         plotting_library()
     wanted = [parse_case(text) for text in options.cases]
     settings = read_settings(options)
-    warm_up_filter(FilterParameters())
     progress = partial(with_progress, total=None, description="replay")
-    found = compare_cases(run_cases(wanted, settings, progress))
+    with Stop():
+        warm_up_filter(FilterParameters())
+        found = compare_cases(run_cases(wanted, settings, progress))
     for text in remarks(found.summary):
         print(text)
     for title, cells in comparison_cells(found.summary):

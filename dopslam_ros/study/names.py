@@ -14,4 +14,5 @@ TROUBLES = {
     "kidnap": "moved by 20 m and turned by any angle, of which the controls say nothing",
     "no_prior": "a start on a known map with no pose and no clock given",
     "no_map": "a start with nothing known but the base station",
+    "none": "nothing happens: a vehicle that is noticed as lost is a false alarm",
 }

@@ -14,7 +14,7 @@ from dopslam_ros.core.model import with_doppler_std
 from dopslam_ros.core.session import BoundsSession, WorldState
 from dopslam_ros.core.simulator import all_landmarks, simulate
 from dopslam_ros.core.study import bounds_parameters_for
-from dopslam_ros.options import Stop
+from dopslam_ros.stopping import Stop, until_stopped
 from dopslam_ros.study.estimators import make_estimator
 from dopslam_ros.study.plan import Plan, StudyError, Task, run_generator, software
 
@@ -65,7 +65,7 @@ def run_task(plan: Plan, task: Task) -> Part:
 
     Raises:
         EstimatorError: the filter had no estimate at a step.
-        KeyboardInterrupt: Ctrl-C, between two steps.
+        KeyboardInterrupt: Ctrl-C, within a Stop between two steps.
     """
     scenario = with_doppler_std(plan.scenario, task.doppler)
     estimator = make_estimator(task.filter, scenario, plan.settings)
@@ -73,9 +73,7 @@ def run_task(plan: Plan, task: Task) -> Part:
     positions, types = all_landmarks(scenario)
     vas, sps = (positions[types == kind] for kind in (LandmarkType.VA, LandmarkType.SP))
     rows, seconds = [], []
-    # An exception of Ctrl-C that comes while a compiled function is called crashes the process.
-    stop = Stop()
-    for snapshot in stop(simulate(scenario, run_generator(plan.seed, task.run))):
+    for snapshot in until_stopped(simulate(scenario, run_generator(plan.seed, task.run))):
         control = snapshot.control
         detected = np.isin(np.arange(len(types)), snapshot.sources)
         world = WorldState(snapshot.state, np.arange(len(types)), types, positions, detected)
@@ -93,8 +91,6 @@ def run_task(plan: Plan, task: Task) -> Part:
         )
         rows.append(table_row(judged, estimate.correct_weight))
         seconds.append(estimate.seconds)
-    if stop.asked:
-        raise KeyboardInterrupt
     return Part(np.array(rows), np.array(seconds))
 
 
@@ -111,10 +107,14 @@ def execute(plan: Plan, versions: dict[str, str], task: Task) -> Outcome:
         plan: the study.
         versions: of the software there; another one here would give other numbers.
         task: which task.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, between two steps.
     """
     try:
         check_software(versions)
-        return Outcome(task, run_task(plan, task), "")
+        with Stop():
+            return Outcome(task, run_task(plan, task), "")
     except Exception:
         return Outcome(task, None, traceback.format_exc())
 

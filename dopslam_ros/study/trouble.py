@@ -132,7 +132,9 @@ def _watched(kind: str, session: FilterSession, after: list[_Input]) -> Trial:
 def _story(
     kind: str, scenario: Scenario, rng: np.random.Generator
 ) -> tuple[list[_Input], list[_Input]]:
-    """The inputs before and after the trouble."""
+    """The inputs before and after the trouble; without any, all are after it."""
+    if kind == "none":
+        return [], [_given(s) for s in simulate(scenario, rng)]
     gap = round(BLACKOUT / scenario.period) if kind in ("blackout", "dark") else 0
     laps = replace(scenario, controls=scenario.controls * 3)
     lap = scenario.steps

@@ -11,6 +11,7 @@ import numpy as np
 
 from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.options import with_progress, write_json
+from dopslam_ros.stopping import Stop, until_stopped
 from dopslam_ros.study.names import TROUBLES
 from dopslam_ros.study.trouble import Trial, trial
 
@@ -19,18 +20,20 @@ IN_TIME = 10
 
 
 def run(options: Any) -> int:
-    """Runs the trials and prints a table; raises ScenarioError."""
+    """Runs the trials, until Ctrl-C comes, and prints a table; raises ScenarioError."""
     scenario = load_scenario(options.scenario)
     cases = list(itertools.product(options.kinds, range(options.runs)))
     trials: dict[str, list[Trial]] = {kind: [] for kind in options.kinds}
-    for kind, number in with_progress(cases, len(cases), "trouble"):
-        rng = np.random.default_rng([options.seed, list(TROUBLES).index(kind), number])
-        trials[kind].append(trial(kind, scenario, rng))
-    rows = {kind: summarise_trials(some) for kind, some in trials.items()}
-    write_json(options.json, {"scenario": scenario.name, "seed": options.seed, "kinds": rows})
+    with Stop(keep=True) as stop:
+        for kind, number in until_stopped(with_progress(cases, len(cases), "trouble")):
+            rng = np.random.default_rng([options.seed, list(TROUBLES).index(kind), number])
+            trials[kind].append(trial(kind, scenario, rng))
+        rows = {kind: summarise_trials(some) for kind, some in trials.items() if some}
+    content = {"scenario": scenario.name, "seed": options.seed, "kinds": rows}
+    write_json(options.json, {**content, "stopped": stop.asked})
     for line in table(rows):
         print(line)
-    return 0
+    return stop.code()
 
 
 def summarise_trials(trials: Sequence[Trial]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ SCENARIO = load_scenario("paper")
 RUNS = 12
 
 
-@pytest.mark.parametrize("kind", ["blackout", "dark", "kidnap", "no_prior", "no_map"])
+@pytest.mark.parametrize("kind", ["blackout", "dark", "kidnap", "no_prior", "no_map", "none"])
 def test_it_is_found_within_ten_sets_and_the_covariance_is_honest(kind: str) -> None:
     trials = [trial(kind, SCENARIO, np.random.default_rng([5, n])) for n in range(RUNS)]
     found = summarise_trials(trials)
@@ -27,6 +27,8 @@ def test_it_is_found_within_ten_sets_and_the_covariance_is_honest(kind: str) -> 
     assert found["position_rmse"] < (3.0 if kind == "no_map" else 1.5)
     if kind == "kidnap":
         assert found["noticed"] >= (RUNS - 1) / RUNS
+    if kind == "none":
+        assert found["noticed"] == 0.0
 
 
 def test_the_same_seed_gives_the_same_numbers(tmp_path: Path) -> None:
