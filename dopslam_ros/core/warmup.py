@@ -19,6 +19,7 @@ from dopslam_ros.core.channel import DIM, LandmarkType
 from dopslam_ros.core.filter import FilterParameters, initial_filter_state
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import UE
+from dopslam_ros.core.kernels import asleep
 from dopslam_ros.core.kernels.compiled import cache_folder
 from dopslam_ros.core.kernels.records import (
     Births,
@@ -27,6 +28,7 @@ from dopslam_ros.core.kernels.records import (
     LocalWeights,
     Newborn,
     Ranked,
+    Regressions,
 )
 from dopslam_ros.core.kernels.step import conclude, continued
 from dopslam_ros.core.measurements import MeasurementSet
@@ -45,6 +47,7 @@ def warm_up_filter(parameters: FilterParameters) -> None:
     """Runs every part of the filter's step once, and of the search for a vehicle that is lost."""
     with _a_second_process():
         _run(replace(parameters, initial_pose="known"))
+    touch_the_rest()
     _run(replace(parameters, initial_pose="unknown"))
 
 
@@ -59,15 +62,24 @@ def warm_up_bounds(parameters: BoundsParameters) -> None:
         list(session.add_world(snapshot.stamp_ns, world))
 
 
-def compile_the_rest() -> None:
-    """What the second process does: compiles from the end what the first does from the start."""
+def touch_the_rest() -> None:
+    """Calls what the step needs last, or now and then, and the search for a lost vehicle.
+
+    This is what the second process compiles, from the end, while the first begins at the start.
+    """
     parameters = FilterParameters()
-    density, constants = initial_filter_state(parameters).density, parameters.constants
+    state, constants = initial_filter_state(parameters), parameters.constants
     nothing = MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM)))
     observed, ranked = prepare(nothing, parameters), _nothing_heard()
-    updated = continued(density, ranked, ranked.born.kept, observed, constants)
+    updated = continued(state.density, ranked, ranked.born.kept, observed, constants)
     conclude(ranked.hypotheses.weight, updated, constants)
-    solutions(initial_filter_state(parameters), observed, 0.0, Clock(0.0, 1.0), parameters)
+    asleep.left_behind(state.density, constants.sight)
+    asleep.near(np.zeros((0, 3)), np.zeros(0), state.ue_mean[:2], 0.0)
+    none, nobody = np.zeros((0, 3)), np.zeros((0, 3, 3))
+    hanging = Regressions(np.zeros((0, 1), np.int64), none, nobody, none, nobody, nobody)
+    asleep.woken(state.density, hanging)
+    asleep.as_of_now(state.density, hanging)
+    solutions(state, observed, 0.0, Clock(0.0, 1.0), parameters)
 
 
 @contextmanager
@@ -76,7 +88,7 @@ def _a_second_process() -> Iterator[None]:
     if not sys.executable or any(cache_folder().rglob("*.nbi")):
         yield
         return
-    command = [sys.executable, "-c", f"import {__name__} as w; w.compile_the_rest()"]
+    command = [sys.executable, "-c", f"import {__name__} as w; w.touch_the_rest()"]
     quiet = subprocess.DEVNULL
     with subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet) as process:
         try:
