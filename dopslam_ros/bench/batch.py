@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
@@ -11,12 +12,13 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.bench.records import Measured, NotMeasured, Ratio, figure, milliseconds
+from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.core.session import BoundsSession, FilterSession, WorldState
 from dopslam_ros.core.simulator import all_landmarks, simulate
@@ -97,40 +99,81 @@ def bounds(quick: bool) -> Measured:
 
 
 def memory(quick: bool) -> Measured:
-    """One filter that goes round and round, in a process of its own."""
+    """One filter that goes round and round, in a process of its own.
+
+    Raises:
+        RuntimeError: a covariance was not positive definite.
+    """
     steps = 3_000 if quick else 100_000
-    in_a_child(resident_memory, 1, 10)  # compiles, which takes memory that growth could hide in
-    before, after = in_a_child(resident_memory, SETTLED, steps)
-    growth = (after - before) / (steps - SETTLED)
+    in_a_child(endless, 1, 10)  # compiles, which takes memory that growth could hide in
+    found: Endless = in_a_child(endless, SETTLED, steps)
+    if not found.smallest > 0.0:
+        raise RuntimeError(f"a correlation matrix had the eigenvalue {found.smallest:.3g}")
+    growth = (found.after - found.before) / (steps - SETTLED)
     return Measured(
         (
-            figure(f"memory after {SETTLED:,} steps", "MB", [before / 2**20]),
-            figure(f"memory after {steps:,} steps", "MB", [after / 2**20]),
+            figure(f"memory after {SETTLED:,} steps", "MB", [found.before / 2**20]),
+            figure(f"memory after {steps:,} steps", "MB", [found.after / 2**20]),
             figure("growth per step", "bytes", [growth]),
+            figure("smallest eigenvalue of any correlation matrix", "1", [found.smallest]),
+            figure("largest asymmetry of any", "1", [found.asymmetry]),
         ),
-        (Ratio(f"memory after {steps:,} / after {SETTLED:,} steps", after / before),),
+        (Ratio(f"memory after {steps:,} / after {SETTLED:,} steps", found.after / found.before),),
+        (f"vehicle and map after each of {steps:,} steps, eigenvalues by NumPy",),
     )
 
 
-def resident_memory(settled: int, steps: int) -> tuple[int, int]:
-    """Bytes that this process occupies after some steps of the paper's scene and at the end."""
+class Endless(NamedTuple):
+    """What became of a filter that ran for long.
+
+    Attributes:
+        before: bytes that the process occupied once all had settled.
+        after: bytes at the end.
+        smallest: eigenvalue of the correlation matrix of vehicle and map after any step.
+        asymmetry: largest difference of an element of such a matrix from the one across.
+    """
+
+    before: int
+    after: int
+    smallest: float
+    asymmetry: float
+
+
+def endless(settled: int, steps: int) -> Endless:
+    """Filters so many steps of the paper's scene in this process."""
     scenario = load_scenario("paper")
     session = FilterSession(filter_parameters_for(scenario))
     laps = -(-steps // scenario.steps)
     # Without process noise the vehicle stays on its circle, however often it goes round.
     endless = replace(scenario, controls=scenario.controls * laps, process_noise_std=(0.0,) * 4)
-    before = 0
+    before, smallest, asymmetry = 0, math.inf, 0.0
     for snapshot in simulate(endless, np.random.default_rng(1)):
         control = snapshot.control
         list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
-        list(session.add_measurements(snapshot.stamp_ns, snapshot.measurements))
+        for output in session.add_measurements(snapshot.stamp_ns, snapshot.measurements):
+            eigenvalue, difference = spectrum(output.state.best.covariance)
+            smallest, asymmetry = min(smallest, eigenvalue), max(asymmetry, difference)
         if snapshot.step + 1 == settled:
             before = occupied()
         if snapshot.step + 1 == steps:
             break
     if session.problems:
         raise RuntimeError(f"the filter had problems: {dict(session.problems)}")
-    return before, occupied()
+    return Endless(before, occupied(), smallest, asymmetry)
+
+
+def spectrum(covariance: FloatArray) -> tuple[float, float]:
+    """Smallest eigenvalue and largest asymmetry of the correlations: free of units.
+
+    Args:
+        covariance: (n, n); what is no covariance gives an eigenvalue that is not above zero.
+    """
+    variance = np.diagonal(covariance)
+    if not (np.isfinite(covariance).all() and (variance > 0.0).all()):
+        return -math.inf, math.inf
+    deviations = np.sqrt(np.outer(variance, variance))
+    asymmetry = float(np.abs((covariance - covariance.T) / deviations).max())
+    return float(np.linalg.eigvalsh(covariance / deviations)[0]), asymmetry
 
 
 def occupied(process: int | str = "self") -> int:

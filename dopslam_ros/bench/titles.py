@@ -10,7 +10,7 @@ TITLES = {
     "nodes": "The filter node in a process of its own at 100 Hz, all it says subscribed to.",
     "recorder": "The recorder node in a process of its own, 1,000 sets and controls a second.",
     "overload": "The filter node in a process of its own, ten times the sets that it can answer.",
-    "memory": "Memory of a filter that never stops.",
+    "memory": "Memory and covariance of a filter that never stops.",
     "soak": "Two hours of a scene at 10 Hz from a bag, twice: memory, times and results.",
     "ready": 'The filter node from its start to "ready", first and later starts.',
     "bounds": "A step of the bounds, with and without Doppler, 8 landmarks.",

@@ -122,11 +122,40 @@ def test_solvers_that_disagree_are_not_compared() -> None:
 
 
 def test_memory_is_measured_in_a_process_of_its_own() -> None:
-    before, after = batch.in_a_child(batch.resident_memory, 2, 45)
-    assert 2**24 < before <= after < 2**32
+    found = batch.in_a_child(batch.endless, 2, 45)
+    assert 2**24 < found.before <= found.after < 2**32
+    assert 0.0 < found.smallest < 1.0 and found.asymmetry == 0.0
     assert batch.in_a_child(os.getpid) != os.getpid()
     with pytest.raises(RuntimeError, match="the process that computed _exit died"):
         batch.in_a_child(os._exit, 3)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "smallest", "asymmetry"),
+    [
+        ([[4.0, 0.0], [0.0, 1e-6]], 1.0, 0.0),
+        ([[4.0, 1.0], [1.0, 1.0]], 0.5, 0.0),
+        ([[4.0, 1.0], [1.002, 1.0]], 0.499, 0.001),
+        ([[4.0, 3.0], [3.0, 1.0]], -0.5, 0.0),
+        ([[4.0, 0.0], [0.0, -1.0]], -np.inf, np.inf),
+        ([[4.0, np.nan], [np.nan, 1.0]], -np.inf, np.inf),
+    ],
+    ids=["diagonal", "correlated", "asymmetric", "indefinite", "negative", "no number"],
+)
+def test_what_is_no_covariance_is_seen(
+    matrix: list[list[float]], smallest: float, asymmetry: float
+) -> None:
+    found = batch.spectrum(np.array(matrix))
+    assert found == pytest.approx((smallest, asymmetry), abs=1e-9)
+
+
+def test_a_covariance_that_is_none_fails_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
+    def found(function: object, *arguments: int) -> batch.Endless:
+        return batch.Endless(1, 1, -1e-17, 0.0)
+
+    monkeypatch.setattr(batch, "in_a_child", found)
+    with pytest.raises(RuntimeError, match="eigenvalue -1e-17"):
+        batch.memory(True)
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -318,3 +318,25 @@ def test_a_component_that_is_never_measured_is_no_trouble(
         error = output.state.ue_mean - s.state
         assert np.hypot(error[0], error[1]) < 4.0
     assert not filtering.problems
+
+
+@pytest.mark.parametrize("settings", [{}, {"coupling": "marginal"}, {"density": "pmbm"}], ids=str)
+def test_the_covariance_stays_one(settings: dict[str, Any]) -> None:
+    """Symmetric to the last bit and positive definite after each of 400 steps, as NumPy sees it.
+
+    ``dopslam bench --only memory`` looks at 100,000.
+    """
+    parameters = filter_parameters_for(SCENARIO, **settings)
+    # Without process noise the vehicle stays on its circle, however often it goes round.
+    endless = replace(SCENARIO, controls=SCENARIO.controls * 10, process_noise_std=(0.0,) * 4)
+    filtering, steps = FilterSession(parameters), 0
+    for s in simulate(endless, np.random.default_rng(7)):
+        list(filtering.add_control(s.stamp_ns, s.control.speed, s.control.turn_rate))
+        for output in filtering.add_measurements(s.stamp_ns, s.measurements):
+            steps += 1
+            for one in output.state.hypotheses:
+                deviation = np.sqrt(np.diagonal(one.covariance))
+                correlation = one.covariance / np.outer(deviation, deviation)
+                assert np.array_equal(one.covariance, one.covariance.T)
+                assert np.linalg.eigvalsh(correlation)[0] > 1e-6
+    assert steps == 400 and not filtering.problems
