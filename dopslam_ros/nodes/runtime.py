@@ -49,6 +49,7 @@ from dopslam_ros.core.parameters import (
 from dopslam_ros.core.refusal import Refused
 from dopslam_ros.messages import make_diagnostics, read_message
 from dopslam_ros.nodes.inbox import Inbox
+from dopslam_ros.nodes.losses import Losses
 
 P = TypeVar("P")
 DIAGNOSTICS_PERIOD = 1.0
@@ -210,8 +211,8 @@ class DopslamNode(Node):
     ) -> None:
         """A subscription whose callback may raise an error with a ``reason``: it is counted.
 
-        The bytes are read here, as the offline replay reads them, because what the middleware
-        cannot read it drops without a word.
+        So is what the middleware lost. The bytes are read here, as the offline replay reads them,
+        because what the middleware cannot read it drops without a word.
 
         Args:
             topic: what to read.
@@ -227,10 +228,18 @@ class DopslamNode(Node):
 
         kind, qos = middleware_class(topic.type_name), reading_profile(topic)
         options: Any = {"qos_overriding_options": QoSOverridingOptions.with_default_policies()}
-        if inbox is None:
-            self.create_subscription(kind, topic.name, guarded, qos, raw=True, **options)
-        else:
+        if inbox is not None:
             inbox.listen(kind, topic.name, qos, guarded, **options)
+            return
+        losses = Losses(self, self.resolve_topic_name(topic.name))
+
+        def came(payload: bytes, about: dict[str, Any]) -> None:
+            if missing := losses.before(about["publication_sequence_number"]):
+                self.miss(topic.name, missing)
+            guarded(payload)
+
+        node: Any = self  # rclpy's types know no callback that asks about its message
+        node.create_subscription(kind, topic.name, came, qos, raw=True, **options)
 
     def subscribe_last(
         self, topic: topics.Topic, callback: Callable[[Any], None], inbox: Inbox | None = None

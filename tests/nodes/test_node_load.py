@@ -1,11 +1,12 @@
-"""A filter node that gets sets faster than it can process them."""
+"""Nodes that get messages faster than they can process them."""
 
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pytest
 
 from dopslam_ros import topics
 from dopslam_ros.bag import message_class, serialize
@@ -13,8 +14,9 @@ from dopslam_ros.core.motion import Control
 from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.core.simulator import simulate
 from dopslam_ros.messages import Frames, make_control, make_measurements
+from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode
-from dopslam_ros.nodes.runtime import READING_DEPTH, middleware_class, qos_profile
+from dopslam_ros.nodes.runtime import READING_DEPTH, DopslamNode, middleware_class, qos_profile
 
 if TYPE_CHECKING:
     from tests.conftest import Ros
@@ -76,9 +78,10 @@ def test_too_many_sets_at_once(ros: Ros) -> None:
     assert values["sets_waiting"] == 0
 
 
-def test_what_the_middleware_lost_is_counted(ros: Ros) -> None:
-    """More come than its queue holds before the filter gets a turn: it says how many."""
-    node = ros.start(FilterNode)
+@pytest.mark.parametrize("node_type", [FilterNode, BoundsNode])
+def test_what_the_middleware_lost_is_counted(ros: Ros, node_type: type[DopslamNode]) -> None:
+    """More come than its queue holds before the node gets a turn: it says how many."""
+    node: Any = ros.start(node_type)
     feeder = ros.node("feeder")
     publisher = feeder.create_publisher(
         middleware_class(CONTROLS.type_name), CONTROLS.name, qos_profile(CONTROLS.qos)
