@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from dopslam_ros.messages import (
     make_quaternion,
     make_twist,
     make_ue_state,
+    make_vector,
 )
 
 # The ellipsoids that are drawn hold the landmark with this probability.
@@ -92,12 +93,15 @@ class FilterMessages:
     transforms: bool = False
 
     def __post_init__(self) -> None:
-        self._bs: tuple[float, ...] = tuple(map(float, self.bs))
         self._poses: list[Any] = []
         self._sent: dict[str, int] = {}
         self._shown: set[tuple[str, int]] = set()
-        # What every marker has and none uses.
         types = self.types
+        self._bs = make_point(types, tuple(map(float, self.bs)))
+        self._upright = make_quaternion(types, (0.0, 0.0, 0.0, 1.0))
+        self._sizes = {k: make_vector(types, (look.size,) * 3) for k, look in LOOKS.items()}
+        self._tints = {k: _colour(types, look, _ELLIPSOID_OPACITY) for k, look in LOOKS.items()}
+        # What every marker has and none uses.
         self._unused: dict[str, Any] = {
             "lifetime": types("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
             "frame_locked": False,
@@ -189,9 +193,10 @@ class FilterMessages:
 
     def _markers(self, time_ns: int, landmarks: LandmarkEstimates) -> Any:
         """A solid body and an ellipsoid per landmark; DELETE for what is gone."""
-        header = make_header(self.types, time_ns, self.frames.map)
+        types = self.types
+        header = make_header(types, time_ns, self.frames.map)
         bs = ("BS", BS_ID)
-        markers, shown = [self._body(header, bs, LOOKS[LandmarkType.BS], self._bs, 1.0)], {bs}
+        markers, shown = [self._body(header, bs, LandmarkType.BS, self._bs, 1.0)], {bs}
         sizes, rotations = _ellipsoids(landmarks.covariances)
         for landmark, kind, position, existence, size, rotation in zip(
             landmarks.ids.tolist(),
@@ -202,58 +207,60 @@ class FilterMessages:
             rotations.tolist(),
             strict=True,
         ):
-            look = LOOKS[kind]
-            body, ellipsoid = (look.name, landmark), (f"{look.name}_ellipsoid", landmark)
+            name, point = LOOKS[kind].name, make_point(types, position)
+            body, ellipsoid = (name, landmark), (f"{name}_ellipsoid", landmark)
             shown |= {body, ellipsoid}
-            colour = (*look.colour, _ELLIPSOID_OPACITY)
+            turned, diameters = make_quaternion(types, rotation), make_vector(types, size)
+            tint = self._tints[kind]
             markers += [
-                self._body(header, body, look, position, existence),
-                self._marker(header, ellipsoid, _BALL, position, size, colour, rotation),
+                self._body(header, body, kind, point, existence),
+                self._marker(header, ellipsoid, _BALL, point, turned, diameters, tint),
             ]
         gone = sorted(self._shown - shown)
         self._shown = shown
-        markers += [self._marker(header, key, action=2) for key in gone]
-        return self.types(topics.LANDMARK_MARKERS.type_name)(markers=markers)
+        markers += [self._deletion(header, key) for key in gone]
+        return types(topics.LANDMARK_MARKERS.type_name)(markers=markers)
 
     def _body(
-        self,
-        header: Any,
-        key: tuple[str, int],
-        look: Look,
-        position: Sequence[float],
-        existence: float,
+        self, header: Any, key: tuple[str, int], kind: int, point: Any, existence: float
     ) -> Any:
-        size, colour = (look.size,) * 3, (*look.colour, existence)
-        return self._marker(header, key, look.shape, position, size, colour)
+        look, size = LOOKS[kind], self._sizes[kind]
+        colour = _colour(self.types, look, existence)
+        return self._marker(header, key, look.shape, point, self._upright, size, colour)
+
+    def _deletion(self, header: Any, key: tuple[str, int]) -> Any:
+        types = self.types
+        nowhere, size = make_point(types, (0.0,) * 3), make_vector(types, (1.0,) * 3)
+        colour = types("std_msgs/msg/ColorRGBA")(r=0.0, g=0.0, b=0.0, a=0.0)
+        return self._marker(header, key, _BALL, nowhere, self._upright, size, colour, action=2)
 
     def _marker(
         self,
         header: Any,
         key: tuple[str, int],
-        shape: int = _BALL,
-        position: Sequence[float] = (0.0, 0.0, 0.0),
-        size: Sequence[float] = (1.0, 1.0, 1.0),
-        colour: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-        rotation: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        shape: int,
+        point: Any,
+        orientation: Any,
+        size: Any,
+        colour: Any,
         action: int = 0,
     ) -> Any:
-        types = self.types
-        x, y, z = size
-        r, g, b, a = colour
-        return types("visualization_msgs/msg/Marker")(
+        return self.types("visualization_msgs/msg/Marker")(
             header=header,
             ns=key[0],
             id=key[1],
             type=shape,
             action=action,
-            pose=types("geometry_msgs/msg/Pose")(
-                position=make_point(types, position),
-                orientation=make_quaternion(types, rotation),
-            ),
-            scale=types("geometry_msgs/msg/Vector3")(x=x, y=y, z=z),
-            color=types("std_msgs/msg/ColorRGBA")(r=r, g=g, b=b, a=a),
+            pose=self.types("geometry_msgs/msg/Pose")(position=point, orientation=orientation),
+            scale=size,
+            color=colour,
             **self._unused,
         )
+
+
+def _colour(types: Types, look: Look, opacity: float) -> Any:
+    r, g, b = look.colour
+    return types("std_msgs/msg/ColorRGBA")(r=r, g=g, b=b, a=opacity)
 
 
 def _ellipsoids(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -295,10 +295,15 @@ def make_quaternion(types: Types, quaternion: Sequence[float]) -> Any:
     return types("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
 
 
+def make_vector(types: Types, vector: Sequence[float]) -> Any:
+    """geometry_msgs/Vector3 from (3,)."""
+    x, y, z = vector
+    return types("geometry_msgs/msg/Vector3")(x=x, y=y, z=z)
+
+
 def make_twist(types: Types, control: Control) -> Any:
     """geometry_msgs/Twist of a vehicle that moves along its heading."""
-    vector = types("geometry_msgs/msg/Vector3")
     return types("geometry_msgs/msg/Twist")(
-        linear=vector(x=float(control.speed), y=0.0, z=0.0),
-        angular=vector(x=0.0, y=0.0, z=float(control.turn_rate)),
+        linear=make_vector(types, (float(control.speed), 0.0, 0.0)),
+        angular=make_vector(types, (0.0, 0.0, float(control.turn_rate))),
     )

@@ -133,6 +133,12 @@ class McapWriter:
         self._metadata_indexes.append(_record(records.METADATA_INDEX, position, _text(name)))
         self._sink.write(record)
 
+    @property
+    def span(self) -> tuple[int | None, int | None]:
+        """First and last log time in finished chunks [ns]."""
+        first = min((span[0] for span in self._spans), default=None)
+        return first, max((span[1] for span in self._spans), default=None)
+
     def finish(self) -> None:
         """Write what is left and the summary: nothing may be added afterwards."""
         self.finish_chunk()
@@ -171,8 +177,7 @@ class McapWriter:
         return indexes, offsets
 
     def _statistics(self) -> bytes:
-        first = min((span[0] for span in self._spans), default=0)
-        last = max((span[1] for span in self._spans), default=0)
+        first, last = self.span
         return _record(
             records.STATISTICS,
             struct.pack(
@@ -183,8 +188,8 @@ class McapWriter:
                 0,
                 len(self._metadata_indexes),
                 len(self._chunk_indexes),
-                first,
-                last,
+                first or 0,
+                last or 0,
                 10 * len(self._counts),
             ),
             *(struct.pack("<HQ", *item) for item in self._counts.items()),

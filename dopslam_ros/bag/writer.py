@@ -68,8 +68,6 @@ class BagWriter:
         self.path = Path(path)
         self._topics: dict[str, _Topic] = {}
         self._schemas: dict[tuple[str, str], int] = {}
-        self._start_ns: int | None = None
-        self._end_ns: int | None = None
         self._flush_seconds = flush_seconds
         self._flushed = time.monotonic()
         self._closed = False
@@ -157,8 +155,12 @@ class BagWriter:
             )
         self._mcap.add_message(entry.channel, log_time_ns, sent_ns, payload)
         entry.message_count += 1
-        self._extend(log_time_ns)
-        self._after_message()
+        if self._sink.pending:  # a chunk is full
+            self._flushed = time.monotonic()
+            self._commit()
+        elif self._flush_seconds is not None:
+            if time.monotonic() - self._flushed >= self._flush_seconds:
+                self.flush()
 
     def flush(self) -> None:
         """Finish the chunk in progress and hand everything to the operating system.
@@ -225,19 +227,6 @@ class BagWriter:
             self._schemas[type_name, text] = schema
         return schema
 
-    def _extend(self, time_ns: int) -> None:
-        self._start_ns = time_ns if self._start_ns is None else min(self._start_ns, time_ns)
-        self._end_ns = time_ns if self._end_ns is None else max(self._end_ns, time_ns)
-
-    def _after_message(self) -> None:
-        """Hand over a chunk that is full, and finish one that is old."""
-        if self._sink.pending:
-            self._flushed = time.monotonic()
-            self._commit()
-        elif self._flush_seconds is not None:
-            if time.monotonic() - self._flushed >= self._flush_seconds:
-                self.flush()
-
     def _commit(self) -> None:
         """Give finished chunks to the operating system."""
         try:
@@ -251,7 +240,7 @@ class BagWriter:
         self._mcap.finish_chunk()
         self._sink.commit()
         information = metadata.dump(
-            metadata.Summary(self._sink.name, self._recorded_topics(), self._start_ns, self._end_ns)
+            metadata.Summary(self._sink.name, self._recorded_topics(), *self._mcap.span)
         )
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": information})
         self._mcap.finish()

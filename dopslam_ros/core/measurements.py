@@ -62,13 +62,14 @@ def checked_measurements(values: FloatArray, covariances: FloatArray) -> Measure
             "too_many_paths", f"{len(values)} paths in a set: at most {MOST_PATHS} can be used"
         )
     _check_values(values)
+    stated = np.zeros((len(values), DIM, DIM))
     if covariances.any():  # otherwise all is left to the filter
         _check_covariances(values, covariances)
+        measured = np.isfinite(values)
+        np.copyto(stated, covariances, where=measured[:, :, None] & measured[:, None, :])
     wrapped = np.array(values, dtype=np.float64, order="C")
     wrap_azimuths(wrapped)
-    measured = np.isfinite(wrapped)
-    both = measured[:, :, None] & measured[:, None, :]
-    return MeasurementSet(wrapped, np.where(both, covariances, 0.0))
+    return MeasurementSet(wrapped, stated)
 
 
 def _check_values(values: FloatArray) -> None:

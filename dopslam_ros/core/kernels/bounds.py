@@ -135,8 +135,7 @@ def inform(
     rows = np.empty((a.shape[1], n))
     for m in range(len(weights)):
         if weights[m] > 0.0:
-            mask, r = used[m % len(used)], noise[m % len(noise)]
-            sound = whiten(a[m], b[m], mask, r, weights[m], start[m], root, rows) and sound
+            sound = whiten(m, a, b, used, noise, weights[m], start[m], root, rows) and sound
             add_products(rows, n, inner)
     sound = factorise(inner) and sound
     # X = C^-1 L', of which only the upper triangle is not zero.
@@ -145,14 +144,13 @@ def inform(
         for j in range(n):
             x[i, j] = root[j, i] if j >= i else 0.0
     for i in range(n):
-        row = x[i]
         for k in range(i):
-            factor, other = inner[i, k], x[k]
+            factor = inner[i, k]
             for j in range(n):
-                row[j] -= factor * other[j]
+                x[i, j] -= factor * x[k, j]
         scale = 1.0 / inner[i, i]
         for j in range(n):
-            row[j] *= scale
+            x[i, j] *= scale
     after = np.zeros((n, n))
     add_products(x, n, after)
     for i in range(n):
@@ -163,6 +161,7 @@ def inform(
 
 @part
 def whiten(
+    m: int,
     a: FloatArray,
     b: FloatArray,
     used: BoolArray,
@@ -172,29 +171,29 @@ def whiten(
     root: FloatArray,
     rows: FloatArray,
 ) -> bool:
-    """Writes sqrt(w) R^-1/2 H L of one path into rows (6, n), zero where it has no component."""
+    """Writes sqrt(w) R^-1/2 H L of path m into rows (6, n), zero where it has no component."""
     dim, n = rows.shape
     factor = np.empty((dim, dim))
+    mask, r, scale = m % len(used), m % len(noise), math.sqrt(weight)
     for k in range(dim):
-        row = rows[k]
         for j in range(n):
-            row[j] = 0.0
+            rows[k, j] = 0.0
         for i in range(k + 1):
             factor[k, i] = 1.0 if i == k else 0.0
-            if used[k] and used[i]:
-                factor[k, i] = noise[k, i]
-        if not used[k]:
+            if used[mask, k] and used[mask, i]:
+                factor[k, i] = noise[r, k, i]
+        if not used[mask, k]:
             continue
-        scale = math.sqrt(weight)
         for i in range(UE):
             # L is lower triangular.
+            by = scale * a[m, k, i]
             for j in range(i + 1):
-                row[j] += scale * a[k, i] * root[i, j]
+                rows[k, j] += by * root[i, j]
         if start >= 0:
             for i in range(3):
-                by, other = scale * b[k, i], root[start + i]
+                by = scale * b[m, k, i]
                 for j in range(start + i + 1):
-                    row[j] += by * other[j]
+                    rows[k, j] += by * root[start + i, j]
     sound = cholesky(factor, len(factor))
     forward_columns(factor, rows, len(factor))
     return sound
@@ -203,12 +202,12 @@ def whiten(
 @part
 def add_products(rows: FloatArray, n: int, total: FloatArray) -> None:
     """Adds rows' rows, rows (m, n), to the lower triangle of total (n, n)."""
-    for row in rows:
+    for k in range(len(rows)):
         for i in range(n):
-            factor, into = row[i], total[i]
+            factor = rows[k, i]
             if factor != 0.0:
                 for j in range(i + 1):
-                    into[j] += factor * row[j]
+                    total[i, j] += factor * rows[k, j]
 
 
 @part
@@ -227,7 +226,7 @@ def factorise(matrix: FloatArray) -> bool:
             matrix[i, k] *= scale
             column[i] = matrix[i, k]
         for i in range(k + 1, n):
-            factor, row = column[i], matrix[i]
+            factor = column[i]
             for j in range(k + 1, i + 1):
-                row[j] -= factor * column[j]
+                matrix[i, j] -= factor * column[j]
     return True
