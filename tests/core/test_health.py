@@ -54,25 +54,6 @@ def test_noise_larger_than_stated_is_told() -> None:
     assert outputs[-1].health.nis_ratio > 1.5
 
 
-@pytest.mark.parametrize(
-    ("scene", "settings", "reason"),
-    [
-        ("misdetections", {"detection_probability": 0.9}, "expected paths came: detection_prob"),
-        ("clutter", {"clutter_mean": 1.0}, "times the clutter expected: clutter_mean?"),
-        ("blocked", {}, "no line of sight to the base station for 1"),
-    ],
-)
-def test_what_is_set_wrongly_or_hidden_is_told(
-    scene: str, settings: dict[str, float], reason: str
-) -> None:
-    """A warning names it, and the vehicle is not said to be lost for it."""
-    scenario = load_scenario(scene)
-    outputs = outputs_of(scenario, filter_parameters_for(scenario, **settings), 1)
-    found = [o.health for o in outputs]
-    assert any(h.level == Level.WARN and reason in h.reason for h in found)
-    assert all(h.level != Level.LOST for h in found)
-
-
 def test_a_position_known_worse_than_stated_is_told() -> None:
     scenario = load_scenario("paper")
     parameters = filter_parameters_for(scenario, health_position_std=0.01)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from dopslam_ros.core import warmup
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.warmup import warm_up_filter
 
@@ -54,6 +57,45 @@ print("slept:", asleep > 0)
 def test_a_run_compiles_nothing_that_the_warm_up_has_not() -> None:
     done = subprocess.run([sys.executable, "-c", RUN], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == ["twice: []", "new: []", "slept: True"]
+
+
+@pytest.fixture
+def helper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """In the place of Python, a program that notes what it is asked to run, and takes its time."""
+    program, noted = tmp_path / "python", tmp_path / "noted"
+    program.write_text(f'#!/bin/sh\necho "$2" > {noted}\nexec sleep ${{NAP:-0}}\n')
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    monkeypatch.setattr(warmup, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(warmup, "_run", lambda parameters: None)
+    return noted
+
+
+def test_where_nothing_is_compiled_a_second_process_takes_its_share(
+    helper: Path, tmp_path: Path
+) -> None:
+    warm_up_filter(FilterParameters())
+    assert warmup.touch_the_rest.__name__ in helper.read_text()
+    helper.unlink()
+    (tmp_path / "step.learn-7.py311.nbi").touch()
+    warm_up_filter(FilterParameters())
+    assert not helper.exists()
+
+
+def test_who_gives_up_does_not_wait_for_the_second_process(
+    helper: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def give_up(parameters: FilterParameters) -> None:
+        while not helper.exists():
+            time.sleep(0.01)
+        raise KeyboardInterrupt
+
+    monkeypatch.setenv("NAP", "60")
+    monkeypatch.setattr(warmup, "_run", give_up)
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        warm_up_filter(FilterParameters())
+    assert time.monotonic() - started < 30.0
 
 
 @pytest.mark.parametrize(
