@@ -155,12 +155,12 @@ def subtract_rows(
 @part
 def work_in(covariance: FloatArray, gains: FloatArray, count: int) -> None:
     """Takes W'W of the first so many updates (B, 6, n) from a covariance (n, n)."""
-    f = np.empty((1, DIM))
+    f = np.empty((count, DIM))
     for i in range(len(covariance)):
         for update in range(count):
             for k in range(DIM):
-                f[0, k] = gains[update, k, i]
-            subtract_rows(gains, update, f, 0, covariance, i, i + 1)
+                f[update, k] = gains[update, k, i]
+            subtract_rows(gains, update, f, update, covariance, i, i + 1)
         for j in range(i):
             covariance[j, i] = covariance[i, j]
 
