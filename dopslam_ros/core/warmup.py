@@ -19,7 +19,7 @@ from dopslam_ros.core.channel import DIM, LandmarkType
 from dopslam_ros.core.filter import FilterParameters, initial_filter_state
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import UE
-from dopslam_ros.core.kernels import asleep
+from dopslam_ros.core.kernels import asleep, placement
 from dopslam_ros.core.kernels.compiled import cache_folder
 from dopslam_ros.core.kernels.records import (
     Births,
@@ -79,6 +79,7 @@ def touch_the_rest() -> None:
     hanging = Regressions(np.zeros((0, 1), np.int64), none, nobody, none, nobody, nobody)
     asleep.woken(state.density, hanging)
     asleep.as_of_now(state.density, hanging)
+    placement.in_space(none, nobody, none, nobody)
     solutions(state, observed, 0.0, Clock(0.0, 1.0), parameters)
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from dopslam_ros.core.arrays import FloatArray, IntArray, symmetrise
+from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.channel import LandmarkType
-from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.asleep import as_of_now
 from dopslam_ros.core.filter.state import FilterParameters, FilterState
+from dopslam_ros.core.kernels.placement import components_in_space, in_space
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,9 @@ class LandmarkEstimates:
     covariances: FloatArray
 
 
+_PARTS = tuple(part.name for part in fields(LandmarkEstimates))
+
+
 def reported_landmarks(state: FilterState, parameters: FilterParameters) -> LandmarkEstimates:
     """The map: landmarks that surely exist and whose place is known, in view or not."""
     tracks = len(state.track_id)
@@ -43,13 +46,14 @@ def reported_landmarks(state: FilterState, parameters: FilterParameters) -> Land
     # Ascending weight: the heaviest component of a track is written last.
     order = np.argsort(state.component_weight, kind="stable")
     best[state.component_track[order]] = order
+    position, covariance = components_in_space(state.density)
     awake = LandmarkEstimates(
         ids=state.track_id,
         types=state.component_type[best],
         type_probabilities=probabilities,
         existence=state.existence,
-        positions=state.positions[best],
-        covariances=state.position_covariances[best],
+        positions=position[best],
+        covariances=covariance[best],
     )
     everything = _together(awake, _out_of_view(state))
     spread = np.sqrt(np.trace(everything.covariances, axis1=1, axis2=2))
@@ -65,28 +69,24 @@ def _out_of_view(state: FilterState) -> LandmarkEstimates | None:
     if sleepers is None:
         return None
     q, covariance = as_of_now(state, sleepers)
-    to_position = placement.jacobians(sleepers.axes, q)
+    position, spread = in_space(sleepers.origin, sleepers.axes, q, covariance)
     types = np.full(len(sleepers), int(LandmarkType.SP))
     return LandmarkEstimates(
         ids=sleepers.track_id,
         types=types,
         type_probabilities=np.eye(len(LandmarkType))[types],
         existence=sleepers.existence,
-        positions=placement.positions(sleepers.origin, sleepers.axes, q),
-        covariances=symmetrise(to_position @ covariance @ np.swapaxes(to_position, 1, 2)),
+        positions=position,
+        covariances=spread,
     )
 
 
 def _rows(landmarks: LandmarkEstimates, which: IntArray) -> LandmarkEstimates:
-    return LandmarkEstimates(*(getattr(landmarks, part.name)[which] for part in fields(landmarks)))
+    return LandmarkEstimates(*(getattr(landmarks, name)[which] for name in _PARTS))
 
 
 def _together(one: LandmarkEstimates, other: LandmarkEstimates | None) -> LandmarkEstimates:
     if other is None:
         return one
-    return LandmarkEstimates(
-        *(
-            np.concatenate([getattr(one, part.name), getattr(other, part.name)])
-            for part in fields(one)
-        )
-    )
+    pairs = ((getattr(one, name), getattr(other, name)) for name in _PARTS)
+    return LandmarkEstimates(*map(np.concatenate, pairs))

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -101,7 +102,7 @@ class Asleep:
     def __len__(self) -> int:
         return sum(map(len, self.cells.values()))
 
-    @property
+    @cached_property
     def everybody(self) -> Sleepers | None:
         """All sleepers, or None."""
         return together(list(self.cells.values())) if self.cells else None

@@ -16,12 +16,11 @@ from dopslam_ros.core.arrays import (
     block_indices,
     floats,
     integers,
-    symmetrise,
 )
 from dopslam_ros.core.channel import DIM, LandmarkType
-from dopslam_ros.core.filter import placement
 from dopslam_ros.core.filter.sleepers import Asleep
 from dopslam_ros.core.filter.undetected import nothing_seen
+from dopslam_ros.core.kernels.placement import components_in_space
 from dopslam_ros.core.kernels.records import UE, Constants, Density, Undetected
 from dopslam_ros.core.model import OnlineParameters
 from dopslam_ros.core.parameters import parameter
@@ -262,18 +261,12 @@ class FilterState:
     @property
     def positions(self) -> FloatArray:
         """(C, 3) where the components are [m]."""
-        return placement.positions(self.origin, self.axes, self.placements)
-
-    @property
-    def position_jacobians(self) -> FloatArray:
-        """(C, 3, 3) derivatives of the positions with respect to q."""
-        return placement.jacobians(self.axes, self.placements)
+        return components_in_space(self.density)[0]
 
     @property
     def position_covariances(self) -> FloatArray:
         """(C, 3, 3) covariances of the positions, to first order [m^2]."""
-        jacobian = self.position_jacobians
-        return symmetrise(jacobian @ self.placement_covariances @ np.swapaxes(jacobian, 1, 2))
+        return components_in_space(self.density)[1]
 
     def only(self, components: BoolArray, tracks: BoolArray) -> FilterState:
         """What is left of it.

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.kernels.channel import SMALLEST_DISTANCE, unit
 from dopslam_ros.core.kernels.compiled import compiled, part
+from dopslam_ros.core.kernels.records import UE, Density
 
 # A first axis that is this upright or more needs another helper than the vertical.
 UPRIGHT = 0.9
@@ -81,3 +84,54 @@ def jacobians(axes: FloatArray, q: FloatArray, jacobian: FloatArray) -> None:
     """``place_jacobian`` for M landmarks: (M, 3, 3), (M, 3); jacobian (M, 3, 3) is written."""
     for m in range(len(q)):
         place_jacobian(axes[m], q[m], jacobian[m])
+
+
+@compiled
+def in_space(
+    origin: FloatArray, axes: FloatArray, q: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """M landmarks in x, y, z, to first order.
+
+    Args:
+        origin: (M, 3) of their frames [m].
+        axes: (M, 3, 3).
+        q: (M, 3).
+        covariance: (M, 3, 3) of q.
+
+    Returns:
+        (M, 3) positions [m] and (M, 3, 3) their covariances [m^2].
+    """
+    position, spread, jacobian = np.empty_like(q), np.empty_like(covariance), np.empty((3, 3))
+    for m in range(len(q)):
+        place(origin[m], axes[m], q[m], position[m])
+        place_jacobian(axes[m], q[m], jacobian)
+        transform(jacobian, covariance[m], 0, spread[m])
+    return position, spread
+
+
+@compiled
+def components_in_space(density: Density) -> tuple[FloatArray, FloatArray]:
+    """``in_space`` for the C components of a density."""
+    count = len(density.component_track)
+    position, spread = np.empty((count, 3)), np.empty((count, 3, 3))
+    jacobian = np.empty((3, 3))
+    for c in range(count):
+        at = UE + 3 * c
+        q = density.mean[at : at + 3]
+        place(density.origin[c], density.axes[c], q, position[c])
+        place_jacobian(density.axes[c], q, jacobian)
+        transform(jacobian, density.covariance, at, spread[c])
+    return position, spread
+
+
+@part
+def transform(jacobian: FloatArray, covariance: FloatArray, at: int, spread: FloatArray) -> None:
+    """Writes J P J' into spread (3, 3), P the block of a covariance that begins at an index."""
+    for i in range(3):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(3):
+                for m in range(3):
+                    total += jacobian[i, k] * covariance[at + k, at + m] * jacobian[j, m]
+            spread[i, j] = total
+            spread[j, i] = total

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.filter.placement import frames, jacobians, placements, positions
+from dopslam_ros.core.kernels import placement as kernels
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -20,6 +21,13 @@ def test_round_trip_and_jacobians(seed: int) -> None:
     for column, step in enumerate(1e-6 * np.eye(3)):
         difference = positions(origin, axes, q + step) - positions(origin, axes, q - step)
         np.testing.assert_allclose(found[:, :, column], difference / 2e-6, atol=1e-5)
+    root = rng.normal(size=(20, 3, 3))
+    covariance = root @ np.swapaxes(root, 1, 2)
+    position, spread = kernels.in_space(origin, axes, q, covariance)
+    np.testing.assert_allclose(position, place, atol=1e-9)
+    expected = found @ covariance @ np.swapaxes(found, 1, 2)
+    np.testing.assert_allclose(spread, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(spread, np.swapaxes(spread, 1, 2))
 
 
 def test_frames_are_rotations_also_straight_up() -> None:

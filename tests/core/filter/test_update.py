@@ -13,7 +13,7 @@ from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.assignment import UNASSIGNED
 from dopslam_ros.core.channel import DIM
 from dopslam_ros.core.filter import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.filter.placement import frames
+from dopslam_ros.core.filter.placement import frames, jacobians
 from dopslam_ros.core.kernels import merge as merge_kernels
 from dopslam_ros.core.kernels import newborn as newborn_kernels
 from dopslam_ros.core.kernels import update as update_kernels
@@ -360,7 +360,7 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     # The old part is as it was; a new one follows the vehicle by its gain.
     np.testing.assert_array_equal(after.covariance[:7, :7], state.covariance)
     kept = [(0, 0), (1, 0), (0, 2)]
-    to_position = after.position_jacobians[1:]
+    to_position = jacobians(after.axes, after.placements)[1:]
     gains = [to @ np.asarray(g) for to, g in zip(to_position, gains_of(after), strict=True)]
     for number, (kind, path) in enumerate(kept):
         block = slice(7 + 3 * number, 10 + 3 * number)
