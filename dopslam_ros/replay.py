@@ -14,7 +14,7 @@ from dopslam_ros.bag import BagMessage, BagReader, BagWriter, message_class, ser
 from dopslam_ros.core.arrays import FloatArray
 from dopslam_ros.core.bounds import Bounds
 from dopslam_ros.core.channel import LandmarkType
-from dopslam_ros.core.evaluation import StepRecord, judge_step
+from dopslam_ros.core.evaluation import StepRecord, judge_step, summarise
 from dopslam_ros.core.events import LOAD_MAP, Event
 from dopslam_ros.core.filter import FilterParameters
 from dopslam_ros.core.parameters import declarations, from_mapping
@@ -89,6 +89,14 @@ class Replay:
             )
             for output in self.outputs
         ]
+
+    def summary(self) -> dict[str, Any]:
+        """How good it was, and what was wrong with the bag, as ``--json`` has it."""
+        summary = summarise(self.records())
+        summary["problems"] = dict(sorted(self.problems.items()))
+        if self.damage:
+            summary["damage"] = self.damage
+        return summary
 
     def _bound_at(self, stamp: int) -> Bounds | None:
         """With the components that the filter used: without Doppler if it used none."""

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dopslam_ros.commands.replay import print_summary, summary_of
+from dopslam_ros.commands.replay import print_summary
 from dopslam_ros.files import write_whole
 from dopslam_ros.options import add_scenario, add_seed, positive_number, write_json
 from dopslam_ros.stopping import Stop
@@ -58,7 +58,7 @@ def _replayed(bag: Path, folder: Path, title: str) -> int:
     from dopslam_ros.report.run_page import run_page
 
     replayed, different = replay_and_compare(bag, folder / "replay")
-    summary = summary_of(replayed)
+    summary = replayed.summary()
     write_json(folder / "result.json", summary)
     print(f"live run recorded in {bag}, replayed into {folder / 'replay'}")
     print(f"replay against live: {different or 'all vehicle states equal, byte for byte'}")

@@ -6,7 +6,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dopslam_ros.options import (
     add_json,
@@ -16,9 +16,6 @@ from dopslam_ros.options import (
     write_json,
 )
 from dopslam_ros.stopping import Stop
-
-if TYPE_CHECKING:
-    from dopslam_ros.replay import Replay
 
 TEXT = "filter a bag offline, as fast as it goes"
 EXAMPLE = "dopslam replay bags/paper --json result.json --param gamma=1"
@@ -53,7 +50,7 @@ def run(options: Any) -> int:
                 done = replay(reader, settings, writer, progress, start_map)
         if options.save_map is not None and done.known_map is not None:
             write_saved(options.save_map, done.known_map)
-        summary = summary_of(done)
+        summary = done.summary()
         summary["stopped"] = stop.asked
         print_summary(summary)
         write_json(options.json, summary)
@@ -62,17 +59,6 @@ def run(options: Any) -> int:
 
             draw_run(done, options.picture, str(options.bag))
     return stop.code()
-
-
-def summary_of(replayed: Replay) -> dict[str, Any]:
-    """The JSON of a replay."""
-    from dopslam_ros.core.evaluation import summarise
-
-    summary = summarise(replayed.records())
-    summary["problems"] = dict(sorted(replayed.problems.items()))
-    if replayed.damage:
-        summary["damage"] = replayed.damage
-    return summary
 
 
 def print_summary(summary: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dopslam_ros.options import add_settings
+from dopslam_ros.options import add_json, add_settings
 
 TEXT = "a run as one page for the browser, map over time"
 EXAMPLE = "dopslam report bags/paper --out paper.html"
@@ -19,6 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, metavar="F", help="the page (default: the bag's name with .html)"
     )
     add_settings(parser)
+    add_json(parser)
 
 
 def run(options: Any) -> int:

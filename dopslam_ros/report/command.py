@@ -35,6 +35,7 @@ def report(options: Any) -> int:
         run = replay(reader, settings, None, progress)
         text = run_page(run, bag.stem if bag.is_file() else bag.name, bag, last_reports(reader))
     write_whole(out, text.encode("utf-8"))
+    write_json(options.json, run.summary())
     print(f"{len(run.outputs)} steps of {options.bag}: open {out} in a browser")
     if run.damage:
         print(f"damaged bag: {run.damage}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +49,14 @@ def made(bag: Path, folder: Path) -> Path:
 def page(live: LiveRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report of the live run."""
     return made(live.bag, tmp_path_factory.mktemp("page"))
+
+
+def test_its_numbers_come_as_json_too(live: LiveRun, tmp_path: Path) -> None:
+    out, file = tmp_path / "run.html", tmp_path / "numbers.json"
+    assert main(["report", str(live.bag), "--out", str(out), "--json", str(file)]) == 0
+    content = json.loads(file.read_text("utf-8"))
+    assert content["steps"] == STEPS
+    assert f"{content['position_rmse']:.3f} m" in out.read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
