@@ -65,13 +65,13 @@ ENDING = """exit codes:
   1    it failed: a file cannot be read or written, or results differ that should not
   2    it was asked wrongly: an option, a name or a value
   130  Ctrl-C ended it after the step it was at, a second one at once; what bench, bounds, demo,
-       replay, simulate, study and trouble had done by then is kept
+       replay, simulate, study, trouble and watch had by then is kept
 
 completion in bash, also for this session alone:
   eval "$(register-python-argcomplete dopslam)"
 """
 # Commands whose output is all that they are for.
-TALKERS = ("parameters", "watch")
+TALKERS = ("parameters",)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

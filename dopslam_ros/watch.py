@@ -22,7 +22,7 @@ from dopslam_ros.core.arrays import wrap_angle
 from dopslam_ros.core.channel import LandmarkType
 from dopslam_ros.core.refusal import Refused
 from dopslam_ros.messages import read_map, read_message, read_ue_state
-from dopslam_ros.options import UsageError
+from dopslam_ros.options import UsageError, write_json
 
 WATCHED = (
     topics.CHANNEL_MEASUREMENTS,
@@ -36,7 +36,8 @@ COUNTED = (topics.CHANNEL_MEASUREMENTS, topics.UE_STATE, topics.LANDMARKS, topic
 # Frames in a second, and over how many seconds rates are counted.
 FRAME_RATE, WINDOW = 5.0, 5.0
 MOST_LANDMARKS = 16
-LEVELS = {0: ("OK", "green"), 1: ("WARN", "yellow"), 2: ("ERROR", "red"), 3: ("STALE", "magenta")}
+LEVELS = {0: "OK", 1: "WARN", 2: "ERROR", 3: "STALE"}
+COLOURS = {"OK": "green", "WARN": "yellow", "STALE": "magenta"}
 Frame = Callable[[], Group]
 
 
@@ -92,6 +93,38 @@ class Board:
     def frame(self) -> Group:
         """All of it to be drawn."""
         return Group(_vehicle(self), _rates(self), _landmarks(self), _health(self))
+
+    def content(self) -> dict[str, Any]:
+        """The same in numbers, in SI units and radians, for ``--json``."""
+        state, shown = self.last.get(topics.UE_STATE.name), self.last.get(topics.LANDMARKS.name)
+        rates = {topic.name: self.rate(topic) for topic in COUNTED}
+        content: dict[str, Any] = {
+            "rates": {name: rate for name, rate in rates.items() if math.isfinite(rate)},
+            "unreadable": self.refused,
+            "health": {
+                name: {"level": _level(status), "message": status.message}
+                for name, status in sorted(self.health.items())
+            },
+        }
+        if state is not None:
+            mean, covariance = read_ue_state(state)
+            content["state"], content["covariance"] = mean.tolist(), covariance.tolist()
+            error = _error(self, state, mean)
+            if error is not None:
+                content["error"] = error.tolist()
+        if shown is not None:
+            found = read_map(shown)
+            content["landmarks"] = [
+                {
+                    "id": int(found.ids[n]),
+                    "type": LandmarkType(int(found.types[n])).name,
+                    "existence": float(landmark.existence_probability),
+                    "position": found.positions[n].tolist(),
+                    "covariance": found.covariances[n].tolist(),
+                }
+                for n, landmark in enumerate(shown.landmarks)
+            ]
+        return content
 
 
 def _vehicle(board: Board) -> Table:
@@ -168,13 +201,19 @@ def _landmarks(board: Board) -> Table:
 def _health(board: Board) -> Table:
     table = Table(title="health", title_justify="left", show_header=False)
     for name, status in sorted(board.health.items()):
-        level = status.level if isinstance(status.level, int) else ord(status.level)
-        word, colour = LEVELS.get(level, (str(level), "red"))
+        word = _level(status)
         # As text: what others say is no markup.
+        colour = COLOURS.get(word, "red")
         table.add_row(Text(name), Text(word, style=colour), Text(status.message))
     if not board.health:
         table.add_row("nobody has told its health yet")
     return table
+
+
+def _level(status: Any) -> str:
+    """Its name; both kinds of Python's messages are taken."""
+    level = status.level if isinstance(status.level, int) else ord(status.level)
+    return LEVELS.get(level, str(level))
 
 
 # --- the command ---------------------------------------------------------------------------------
@@ -194,7 +233,7 @@ def run(options: Any, console: Console | None = None) -> int:
     else:
         feed = live(options.namespace)
     with contextlib.closing(feed):
-        return _once(feed, options, console) if options.once else _follow(feed, console)
+        return _once(feed, options, console) if options.once else _follow(feed, options, console)
 
 
 def _once(feed: Iterator[Board], options: Any, console: Console) -> int:
@@ -206,19 +245,26 @@ def _once(feed: Iterator[Board], options: Any, console: Console) -> int:
             break
     if board is not None:
         console.print(board.frame())
+        write_json(options.json, board.content())
     return 0 if board is not None and topics.UE_STATE.name in board.last else 1
 
 
-def _follow(feed: Iterator[Board], console: Console) -> int:
+def _follow(feed: Iterator[Board], options: Any, console: Console) -> int:
     """Draws until the feed ends; where there is no terminal, the last frame alone."""
-    with Live(console=console, auto_refresh=False, vertical_overflow="visible") as screen:
-        drawn = -math.inf
-        for board in feed:
-            now = time.monotonic()
-            if now - drawn >= 1.0 / FRAME_RATE:
-                drawn = now
-                screen.update(board.frame(), refresh=console.is_terminal)
-        screen.update(board.frame(), refresh=True)
+    board: Board | None = None
+    try:
+        with Live(console=console, auto_refresh=False, vertical_overflow="visible") as screen:
+            drawn = -math.inf
+            for board in feed:
+                now = time.monotonic()
+                if now - drawn >= 1.0 / FRAME_RATE:
+                    drawn = now
+                    screen.update(board.frame(), refresh=console.is_terminal)
+            if board is not None:
+                screen.update(board.frame(), refresh=True)
+    finally:  # a live run is watched until Ctrl-C
+        if board is not None:
+            write_json(options.json, board.content())
     return 0
 
 

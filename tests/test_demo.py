@@ -51,16 +51,17 @@ def test_two_demos_at_once(
 ) -> None:
     """Each ends with 0 and with all its results, and hears nothing of the other."""
     parents = [tmp_path / "first", tmp_path / "second"]
+    asked = ("demo", "--scenario", scene, "--rate", 40)
     started = [
-        processes.dopslam(
-            "demo", "--scenario", scene, "--rate", 40, "--seed", seed, "--out", parent
-        )
+        processes.dopslam(*asked, "--seed", seed, "--out", parent, "--json", f"{parent}.json")
         for seed, parent in enumerate(parents)
     ]
     folders = []
     for process, parent in zip(started, parents, strict=True):
         assert process.wait() == 0, process.stderr
         folders.append(check_results(process, parent, bag_payloads))
+        written = Path(f"{parent}.json").read_bytes()
+        assert written == (folders[-1] / "result.json").read_bytes()
     first, second = (bag_payloads(f / "live", topics.CHANNEL_MEASUREMENTS) for f in folders)
     assert not set(first) & set(second)
 

@@ -86,7 +86,8 @@ def test_quiet(tmp_path: Path, scene: Path, capfd: pytest.CaptureFixture[str]) -
     for command in set(COMMANDS) - set(TALKERS):
         with pytest.raises(SystemExit):
             main([command, "--help"])
-        assert "--quiet" in capfd.readouterr().out, command
+        text = capfd.readouterr().out
+        assert "--quiet" in text and "--json" in text, command
 
 
 def completions(line: str, tmp_path: Path) -> list[str]:

@@ -409,7 +409,9 @@ def test_a_study_is_drawn(
     """The folder that one command writes, the other draws; another process, the same bytes."""
     capsys.readouterr()
     out = tmp_path / "new" / "figures"
-    assert main(["figures", str(study), "--out", str(out)]) == 0
+    file = tmp_path / "figures.json"
+    assert main(["figures", str(study), "--out", str(out), "--json", str(file)]) == 0
+    assert file.read_bytes() == (out / "ratios.json").read_bytes()
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith(f"in {out}: bounds, gospa_va, gospa_sp, rmse, association, nees")
     assert all(line.startswith("missing: ") for line in said[1:])

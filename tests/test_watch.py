@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 import re
 import time
@@ -43,10 +44,13 @@ def row(text: str, label: str) -> list[float]:
     return [float(number) for number in re.findall(r"[-+]?\d+\.\d+", line)]
 
 
-def test_the_end_of_a_bag(live: LiveRun, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_end_of_a_bag(
+    live: LiveRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """State, sigma, error, landmarks and health are those of the last messages in the bag."""
-    assert main(["watch", str(live.bag), "--once"]) == 0
-    text = capsys.readouterr().out
+    file = tmp_path / "end.json"
+    assert main(["watch", str(live.bag), "--once", "--json", str(file)]) == 0
+    text, content = capsys.readouterr().out, json.loads(file.read_text("utf-8"))
     state, truth = last(live.bag, topics.UE_STATE), last(live.bag, topics.TRUTH_UE)
     expected = [state.x, math.sqrt(state.covariance[0]), state.x - truth.x]
     vehicle = text.partition("\nlandmarks ")[0]
@@ -58,6 +62,14 @@ def test_the_end_of_a_bag(live: LiveRun, capsys: pytest.CaptureFixture[str]) -> 
         assert f"{p.x:.1f}" in text and f"{landmark.existence_probability:.2f}" in text
     for node in ("/filter", "/simulator", "/bounds"):
         assert re.search(rf"{node}\b.*\b(OK|WARN)\b", text), text
+        assert content["health"][node]["level"] in ("OK", "WARN")
+    assert content["state"] == [state.x, state.y, state.heading, state.clock_bias]
+    assert content["error"][0] == state.x - truth.x
+    found = [(m["id"], m["position"][0]) for m in content["landmarks"]]
+    assert found == [(m.id, m.position.x) for m in last(live.bag, topics.LANDMARKS).landmarks]
+    assert main(["watch", str(live.bag), "-q", "--json", str(file), "--rate", "1e6"]) == 0
+    again = json.loads(file.read_text("utf-8"))
+    assert again["state"] == content["state"] and not capsys.readouterr().out
 
 
 def test_the_frame_goes_with_the_time_of_the_bag(live: LiveRun) -> None:
@@ -150,7 +162,9 @@ def test_without_a_terminal_the_last_frame_alone(live: LiveRun) -> None:
     frames = {}
     for terminal in (False, True):
         console = Console(file=io.StringIO(), force_terminal=terminal, width=120)
-        options = Namespace(bag=live.bag, namespace="", rate=1e6, once=False, patience=1.0)
+        options = Namespace(
+            bag=live.bag, namespace="", rate=1e6, once=False, patience=1.0, json=None
+        )
         assert watch.run(options, console) == 0
         frames[terminal] = console.file.getvalue()  # type: ignore[attr-defined]
     state = last(live.bag, topics.UE_STATE)

@@ -8,7 +8,7 @@ from typing import Any
 
 from dopslam_ros.commands.replay import print_summary
 from dopslam_ros.files import write_whole
-from dopslam_ros.options import add_scenario, add_seed, positive_number, write_json
+from dopslam_ros.options import add_json, add_scenario, add_seed, positive_number, write_json
 from dopslam_ros.stopping import Stop
 
 TEXT = "run the paper's scene live, record, replay, compare, draw"
@@ -25,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("runs"), help="parent folder of the results"
     )
+    add_json(parser)
 
 
 def run(options: Any) -> int:
@@ -46,10 +47,10 @@ def run(options: Any) -> int:
 
         bag = run_live(options.scenario, seed, options.rate, folder, show)
     with Stop():
-        return _replayed(bag, folder, f"{scenario.name}, seed {seed}")
+        return _replayed(bag, folder, f"{scenario.name}, seed {seed}", options.json)
 
 
-def _replayed(bag: Path, folder: Path, title: str) -> int:
+def _replayed(bag: Path, folder: Path, title: str, file: Path | None) -> int:
     """What follows the live run."""
     from dopslam_ros.bag import BagReader
     from dopslam_ros.demo import replay_and_compare
@@ -60,6 +61,7 @@ def _replayed(bag: Path, folder: Path, title: str) -> int:
     replayed, different = replay_and_compare(bag, folder / "replay")
     summary = replayed.summary()
     write_json(folder / "result.json", summary)
+    write_json(file, summary)
     print(f"live run recorded in {bag}, replayed into {folder / 'replay'}")
     print(f"replay against live: {different or 'all vehicle states equal, byte for byte'}")
     print_summary(summary)

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from dopslam_ros.options import add_json, write_json
+
 TEXT = "draw a study beside the paper's figures, with their ratios"
 EXAMPLE = "dopslam figures runs/study --out runs/figures"
 
@@ -14,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the command."""
     parser.add_argument("study", type=Path, help="folder of a study")
     parser.add_argument("--out", type=Path, required=True, help="folder of the pictures and tables")
+    add_json(parser)
 
 
 def run(options: Any) -> int:
@@ -25,7 +28,7 @@ def run(options: Any) -> int:
     results = load_results(options.study)
     options.out.mkdir(parents=True, exist_ok=True)
     names = draw_study(results, options.out)
-    write_ratios(results, options.out)
+    write_json(options.json, write_ratios(results, options.out))
     print(f"in {options.out}: {', '.join(names)} (.png, .svg); ratios (.md, .csv, .json)")
     for text in missing(results):
         print(f"missing: {text}")

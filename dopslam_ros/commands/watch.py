@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dopslam_ros.options import positive_number
+from dopslam_ros.options import add_json, positive_number
 
 TEXT = "pose, map, rates and health in the terminal, live or a bag's"
 EXAMPLE = "dopslam watch bags/paper --rate 5"
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seconds that --once waits for a live state (default: 10)",
     )
+    add_json(parser)
 
 
 def run(options: Any) -> int:

@@ -72,8 +72,8 @@ def all_ratios(results: Results) -> list[Ratio]:
     return sorted(rows, key=lambda row: order.index(row.figure))
 
 
-def write_ratios(results: Results, folder: Path) -> None:
-    """Writes ``all_ratios`` as ratios.md, ratios.csv and ratios.json.
+def write_ratios(results: Results, folder: Path) -> dict[str, Any]:
+    """Writes ``all_ratios`` as ratios.md, ratios.csv and ratios.json; returns what is in that.
 
     Raises:
         OSError: they cannot be written.
@@ -83,7 +83,8 @@ def write_ratios(results: Results, folder: Path) -> None:
     plan, runs = results.plan, len(results.run_numbers)
     head = f"{runs} runs of scene '{plan.scenario.name}', seed {plan.seed}. In brackets, ours over"
     (folder / "ratios.md").write_text(_markdown(rows, f"{head} theirs."), "utf-8")
-    (folder / "ratios.json").write_text(json_text({"rows": records}), "utf-8")
+    content = {"rows": records}
+    (folder / "ratios.json").write_text(json_text(content), "utf-8")
     text = StringIO()
     writer = csv.DictWriter(text, [*Ratio._fields, "ratio"], lineterminator="\n")
     writer.writeheader()
@@ -91,6 +92,7 @@ def write_ratios(results: Results, folder: Path) -> None:
         sigma_d = "without" if record["sigma_d"] is None else record["sigma_d"]
         writer.writerow({**record, "sigma_d": sigma_d})
     (folder / "ratios.csv").write_text(text.getvalue(), "utf-8")
+    return content
 
 
 def _bounds() -> Iterator[Ratio]:
