@@ -17,12 +17,13 @@ import numpy as np
 
 from dopslam_ros.core.arrays import BoolArray, FloatArray, IntArray, wrap_angle
 from dopslam_ros.core.channel import LandmarkType
-from dopslam_ros.core.filter import FilterParameters, FilterState, Step, placement
-from dopslam_ros.core.filter.asleep import as_of_now, wake_up
+from dopslam_ros.core.filter import FilterParameters, FilterState, Step
+from dopslam_ros.core.filter.asleep import in_space_now, wake_up
 from dopslam_ros.core.filter.evidence import prepare
 from dopslam_ros.core.filter.state import UE, gates
 from dopslam_ros.core.filter.step import update
 from dopslam_ros.core.kernels import relocalise as kernels
+from dopslam_ros.core.kernels.placement import components_in_space
 from dopslam_ros.core.kernels.records import Observed
 from dopslam_ros.core.measurements import MeasurementSet
 from dopslam_ros.core.model import log_clutter_intensity
@@ -197,16 +198,16 @@ def _known_landmarks(base: FilterState, parameters: FilterParameters) -> _Landma
     """The BS, the components awake and those asleep, each where it is now."""
     chance = base.existence[base.component_track] * base.component_weight
     likely = chance > LIKELY
-    position = [parameters.bs[None], base.positions[likely]]
-    covariance = [np.zeros((1, 3, 3)), base.position_covariances[likely]]
+    awake, spread = components_in_space(base.density)
+    position = [parameters.bs[None], awake[likely]]
+    covariance = [np.zeros((1, 3, 3)), spread[likely]]
     kind = [np.array([int(LandmarkType.BS)]), base.component_type[likely]]
     chances: Sequence[FloatArray] = [np.ones(1), chance[likely]]
     sleepers = base.asleep.everybody
     if sleepers is not None:
-        q, spread = as_of_now(base, sleepers)
-        to_position = placement.jacobians(sleepers.axes, q)
-        position.append(placement.positions(sleepers.origin, sleepers.axes, q))
-        covariance.append(to_position @ spread @ np.swapaxes(to_position, 1, 2))
+        asleep, spread = in_space_now(base, sleepers)
+        position.append(asleep)
+        covariance.append(spread)
         kind.append(np.full(len(sleepers), int(LandmarkType.SP)))
         chances = [*chances, sleepers.existence]
     heard = max(parameters.detection_probability, 1e-3) * np.concatenate(chances)

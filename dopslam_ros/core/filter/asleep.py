@@ -25,6 +25,7 @@ from dopslam_ros.core.filter.sleepers import Sleepers
 from dopslam_ros.core.filter.state import UE, FilterParameters, FilterState
 from dopslam_ros.core.kernels import asleep as kernels
 from dopslam_ros.core.kernels.asleep import MARGIN, left_behind
+from dopslam_ros.core.kernels.placement import in_space
 
 # Only virtual anchors that surely are what they are carry others.
 SURE = 0.999
@@ -75,6 +76,11 @@ def wake_up(state: FilterState, parameters: FilterParameters) -> FilterState:
 def as_of_now(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, FloatArray]:
     """(N, 3) placements and (N, 3, 3) covariances of sleepers, as the anchors have it now."""
     return kernels.as_of_now(state.density, sleepers.regressions)
+
+
+def in_space_now(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) positions [m] and (N, 3, 3) covariances of sleepers, as the anchors have it now."""
+    return in_space(sleepers.origin, sleepers.axes, *as_of_now(state, sleepers))
 
 
 def _blur(state: FilterState) -> float:

@@ -8,9 +8,9 @@ import numpy as np
 
 from dopslam_ros.core.arrays import FloatArray, IntArray
 from dopslam_ros.core.channel import LandmarkType
-from dopslam_ros.core.filter.asleep import as_of_now
+from dopslam_ros.core.filter.asleep import in_space_now
 from dopslam_ros.core.filter.state import FilterParameters, FilterState
-from dopslam_ros.core.kernels.placement import components_in_space, in_space
+from dopslam_ros.core.kernels.placement import components_in_space
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,7 @@ def _out_of_view(state: FilterState) -> LandmarkEstimates | None:
     sleepers = state.asleep.everybody
     if sleepers is None:
         return None
-    q, covariance = as_of_now(state, sleepers)
-    position, spread = in_space(sleepers.origin, sleepers.axes, q, covariance)
+    position, covariance = in_space_now(state, sleepers)
     types = np.full(len(sleepers), int(LandmarkType.SP))
     return LandmarkEstimates(
         ids=sleepers.track_id,
@@ -77,7 +76,7 @@ def _out_of_view(state: FilterState) -> LandmarkEstimates | None:
         type_probabilities=np.eye(len(LandmarkType))[types],
         existence=sleepers.existence,
         positions=position,
-        covariances=spread,
+        covariances=covariance,
     )
 
 

@@ -263,11 +263,6 @@ class FilterState:
         """(C, 3) where the components are [m]."""
         return components_in_space(self.density)[0]
 
-    @property
-    def position_covariances(self) -> FloatArray:
-        """(C, 3, 3) covariances of the positions, to first order [m^2]."""
-        return components_in_space(self.density)[1]
-
     def only(self, components: BoolArray, tracks: BoolArray) -> FilterState:
         """What is left of it.
 

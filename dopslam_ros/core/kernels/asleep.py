@@ -9,7 +9,7 @@ import numpy as np
 from dopslam_ros.core.arrays import BoolArray, FloatArray
 from dopslam_ros.core.kernels.channel import SP, VA
 from dopslam_ros.core.kernels.compiled import compiled, part
-from dopslam_ros.core.kernels.placement import place, place_jacobian
+from dopslam_ros.core.kernels.placement import components_in_space
 from dopslam_ros.core.kernels.records import NONE, UE, Density, Regressions
 
 # Standard deviations beyond the field of view at which a detection is out of the question.
@@ -41,23 +41,15 @@ def left_behind(density: Density, view: float) -> tuple[FloatArray, BoolArray]:
         are left behind.
     """
     mean, covariance = density.mean, density.covariance
-    origin, axes = density.origin, density.axes
     component_track, component_type = density.component_track, density.component_type
     reach = np.empty(len(component_track))
     leaving = np.full(len(density.track_id), True)
     blur = MARGIN * math.sqrt(covariance[0, 0] + covariance[1, 1])
-    position, jacobian = np.empty(3), np.empty((3, 3))
+    position, spread = components_in_space(density)
     for c in range(len(component_track)):
-        at = UE + 3 * c
-        place(origin[c], axes[c], mean[at : at + 3], position)
-        place_jacobian(axes[c], mean[at : at + 3], jacobian)
-        spread = 0.0  # the trace of J P J'
-        for i in range(3):
-            for k in range(3):
-                for j in range(3):
-                    spread += jacobian[i, k] * covariance[at + k, at + j] * jacobian[i, j]
-        reach[c] = view + MARGIN * math.sqrt(max(spread, 0.0))
-        distance = math.hypot(position[0] - mean[0], position[1] - mean[1])
+        variance = spread[c, 0, 0] + spread[c, 1, 1] + spread[c, 2, 2]
+        reach[c] = view + MARGIN * math.sqrt(max(variance, 0.0))
+        distance = math.hypot(position[c, 0] - mean[0], position[c, 1] - mean[1])
         if component_type[c] != SP or distance <= reach[c] + blur + HYSTERESIS * view:
             leaving[component_track[c]] = False
     return reach, leaving

@@ -18,6 +18,7 @@ from dopslam_ros.core.kernels import merge as merge_kernels
 from dopslam_ros.core.kernels import newborn as newborn_kernels
 from dopslam_ros.core.kernels import update as update_kernels
 from dopslam_ros.core.kernels.compiled import exposed
+from dopslam_ros.core.kernels.placement import components_in_space
 from dopslam_ros.core.kernels.records import (
     Births,
     Conditioned,
@@ -367,7 +368,9 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
         np.testing.assert_allclose(gains[number], births.gain[kind, path], atol=1e-9)
         np.testing.assert_allclose(after.positions[1 + number], births.position[kind, path])
         np.testing.assert_allclose(
-            after.position_covariances[1 + number], births.covariance[kind, path], atol=1e-8
+            components_in_space(after.density)[1][1 + number],
+            births.covariance[kind, path],
+            atol=1e-8,
         )
         for other in range(number):
             across = slice(7 + 3 * other, 10 + 3 * other)
