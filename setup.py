@@ -33,7 +33,7 @@ setup(
     python_requires=">=3.11,<3.13",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
-        NAME: ["py.typed", "scenarios/*.yaml", "published/*.json", "report/assets/*"],
+        NAME: ["py.typed", "simulation/scenes/*.yaml", "lab/published/*.json", "lab/report/assets/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
@@ -80,7 +80,7 @@ setup(
     entry_points={
         "console_scripts": [
             *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
-            f"dopslam = {NAME}.cli:main",
+            f"dopslam = {NAME}.cli.main:main",
         ],
     },
 )

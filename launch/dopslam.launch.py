@@ -8,7 +8,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from dopslam_ros.launching import ARGUMENTS, plan
+from dopslam_ros.nodes.launching import ARGUMENTS, plan
 
 # Beside this folder in the repository as in share/dopslam_ros.
 RVIZ_FILE = Path(__file__).resolve().parents[1] / "config" / "dopslam.rviz"

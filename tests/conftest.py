@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import dopslam_ros
-from dopslam_ros import topics
+from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter, deserialize
-from dopslam_ros.core.scenario import load_scenario
-from dopslam_ros.simulation import write_simulation
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.simulation.recording import write_simulation
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -43,9 +43,9 @@ _domains = itertools.count(7 * os.getpid())
 def pytest_configure(config: pytest.Config) -> None:
     """Compiles before several processes would all do it at once."""
     if getattr(config.option, "numprocesses", None):
-        from dopslam_ros.core.filter import FilterParameters
-        from dopslam_ros.core.session import BoundsParameters
-        from dopslam_ros.core.warmup import warm_up_bounds, warm_up_filter
+        from dopslam_ros.core.pmb import FilterParameters
+        from dopslam_ros.core.session.filtering import BoundsParameters
+        from dopslam_ros.simulation.warmup import warm_up_bounds, warm_up_filter
 
         warm_up_filter(FilterParameters())
         warm_up_bounds(BoundsParameters())
@@ -254,7 +254,7 @@ class Processes:
 
     def dopslam(self, *arguments: object) -> Process:
         """The command ``dopslam``."""
-        return self._start([sys.executable, "-m", "dopslam_ros.cli", *map(str, arguments)])
+        return self._start([sys.executable, "-m", "dopslam_ros.cli.main", *map(str, arguments)])
 
     def close(self) -> None:
         """Ends what still runs."""

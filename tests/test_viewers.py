@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from dopslam_ros import topics
+from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, deserialize
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -24,7 +24,7 @@ WARN = 'import warnings; warnings.warn("on its way out", {kind})'
 
 
 @pytest.mark.parametrize("kind", ["DeprecationWarning", "FutureWarning", "RuntimeWarning"])
-@pytest.mark.parametrize("module", ["dopslam_ros", "dopslam_ros.core.filter.step"])
+@pytest.mark.parametrize("module", ["dopslam_ros", "dopslam_ros.core.pmb.step"])
 def test_a_warning_in_our_code_is_an_error(module: str, kind: str) -> None:
     """The tests' settings act on every module of the package, whatever the kind of warning."""
     with pytest.raises(Warning, match="on its way out"):

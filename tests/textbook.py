@@ -19,9 +19,9 @@ from scipy.linalg import block_diag
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
-from dopslam_ros.core.filter import FilterParameters as Parameters
-from dopslam_ros.core.measurements import MeasurementSet
-from dopslam_ros.core.motion import ControlSpan
+from dopslam_ros.core.pmb import FilterParameters as Parameters
+from dopslam_ros.core.models.measurements import MeasurementSet
+from dopslam_ros.core.models.motion import ControlSpan
 
 Array: TypeAlias = np.ndarray
 BS, VA, SP = 0, 1, 2

@@ -13,7 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from dopslam_ros import topics
+from dopslam_ros.messages import topics
 from dopslam_ros.nodes.runtime import middleware_class, reading_profile, stay_on_this_machine
 
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from dopslam_ros import topics
-from dopslam_ros.commands.parameters import NODES
-from dopslam_ros.core import health, recovery, relocalise
-from dopslam_ros.core.filter import FilterParameters
-from dopslam_ros.core.parameters import declarations
+from dopslam_ros.messages import topics
+from dopslam_ros.cli.commands.parameters import NODES
+from dopslam_ros.core.monitoring import health, recovery, pose_search as relocalise
+from dopslam_ros.core.pmb import FilterParameters
+from dopslam_ros.core.settings.parameters import declarations
 
 if TYPE_CHECKING:
     from tests.conftest import Ros

@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from dopslam_ros import cli
-from dopslam_ros.commands.parameters import NODES
-from dopslam_ros.core.parameters import declarations, parse_assignment
-from dopslam_ros.launching import plan
+from dopslam_ros.cli import main as cli
+from dopslam_ros.cli.commands.parameters import NODES
+from dopslam_ros.core.settings.parameters import declarations, parse_assignment
+from dopslam_ros.nodes.launching import plan
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from dopslam_ros import topics
+from dopslam_ros.messages import topics
 from dopslam_ros.nodes import losses
 from dopslam_ros.nodes.losses import Losses
 from dopslam_ros.nodes.runtime import middleware_class

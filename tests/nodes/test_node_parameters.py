@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from dopslam_ros.core.parameters import declarations, to_mapping
+from dopslam_ros.core.settings.parameters import declarations, to_mapping
 from dopslam_ros.nodes.bounds import BoundsNode, BoundsNodeParameters
 from dopslam_ros.nodes.filter import FilterNode, FilterNodeParameters
 from dopslam_ros.nodes.player import PlayerNode, PlayerParameters

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dopslam_ros import topics
+from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, message_class, serialize
-from dopslam_ros.core.arrays import wrap_angle
-from dopslam_ros.core.channel import LandmarkType
-from dopslam_ros.core.scenario import load_scenario
-from dopslam_ros.core.session import BoundsParameters, BoundsSession
-from dopslam_ros.messages import Frames, make_bounds, read_map, read_ue_state, stamp_ns
+from dopslam_ros.core.linalg.arrays import wrap_angle
+from dopslam_ros.core.models.channel import LandmarkType
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.core.session.filtering import BoundsParameters, BoundsSession
+from dopslam_ros.messages.conversion import Frames, make_bounds, read_map, read_ue_state, stamp_ns
 from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.recorder import RecorderNode

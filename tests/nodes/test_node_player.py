@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from dopslam_ros import topics
+from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.player import PlayerNode

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from dopslam_ros import topics
+from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader
 
 if TYPE_CHECKING:

@@ -12,14 +12,14 @@ import pytest
 from dopslam_msgs.srv import LoadMap, SaveMap
 from std_srvs.srv import SetBool, Trigger
 
-from dopslam_ros import topics
+from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter, deserialize
-from dopslam_ros.core.saved import SNAPSHOT
+from dopslam_ros.core.session.checkpoint import SNAPSHOT
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.recorder import RecorderNode
 from dopslam_ros.nodes.runtime import Output, StartError, middleware_class, qos_profile
-from dopslam_ros.replay import replay
-from dopslam_ros.storage import read_saved
+from dopslam_ros.offline.replay import replay
+from dopslam_ros.system.storage import read_saved
 
 if TYPE_CHECKING:
     from tests.conftest import Listener, Process, Processes, Ros

@@ -1,0 +1,87 @@
+"""``dopslam replay``: a bag filtered offline."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+from dopslam_ros.cli.options import add_json, add_settings, read_settings, with_progress, write_json
+from dopslam_ros.system.stopping import Stop
+
+TEXT = "filter a bag offline, as fast as it goes"
+EXAMPLE = "dopslam replay bags/paper --json result.json --param gamma=1"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.add_argument("bag", type=Path, help="folder of a bag, or an .mcap file")
+    parser.add_argument("--out", type=Path, help="folder of a new bag with the results")
+    parser.add_argument("--picture", type=Path, help="file (.png, .svg) of track, map and errors")
+    parser.add_argument("--map", type=Path, metavar="F", help="file of a map to start with")
+    parser.add_argument("--save-map", type=Path, metavar="F", help="file for the map at the end")
+    add_settings(parser)
+    add_json(parser)
+
+
+def run(options: Any) -> int:
+    """Filters until the bag ends or Ctrl-C comes."""
+    from dopslam_ros.bag import BagReader, BagWriter
+    from dopslam_ros.offline.replay import replay
+    from dopslam_ros.system.storage import read_saved, write_saved
+
+    reader = BagReader(options.bag)
+    progress = partial(with_progress, total=None, description="replay")
+    settings = read_settings(options)
+    with Stop(keep=True) as stop:
+        start_map = None if options.map is None else read_saved(options.map.resolve())
+        if options.out is None:
+            done = replay(reader, settings, None, progress, start_map)
+        else:
+            with BagWriter(options.out, flush_seconds=None) as writer:
+                done = replay(reader, settings, writer, progress, start_map)
+        if options.save_map is not None and done.known_map is not None:
+            write_saved(options.save_map, done.known_map)
+        summary = done.summary()
+        summary["stopped"] = stop.asked
+        print_summary(summary)
+        write_json(options.json, summary)
+        if options.picture is not None:
+            from dopslam_ros.lab.figures.run import draw_run
+
+            draw_run(done, options.picture, str(options.bag))
+    return stop.code()
+
+
+def print_summary(summary: dict[str, Any]) -> None:
+    """A small table; what is not known is not shown."""
+    rows = (
+        ("position [m]", "position_rmse", "bound_position_rms"),
+        ("heading [deg]", "heading_rmse_deg", "bound_heading_rms_deg"),
+        ("clock bias [m]", "clock_bias_rmse", "bound_clock_rms"),
+    )
+    if any(key in summary for _, key, _ in rows):
+        print(f"{'':18}{'RMSE':>10}{'bound':>10}{'ratio':>8}")
+    for label, ours, bound in rows:
+        if ours in summary:
+            line = f"{label:18}{summary[ours]:10.4f}"
+            if bound in summary:
+                line += f"{summary[bound]:10.4f}{summary[ours] / summary[bound]:8.2f}"
+            print(line)
+    for label, key in (("GOSPA of VAs [m]", "gospa_va"), ("GOSPA of SPs [m]", "gospa_sp")):
+        if key in summary:
+            last = fmean(summary[key][-10:])
+            print(f"{label:18}{last:10.2f}   mean of the last {len(summary[key][-10:])} steps")
+    if "nees_mean" in summary:
+        print(f"{'NEES':18}{summary['nees_mean']:10.2f}   4 where the covariance is honest")
+    if "step_ms_p50" in summary:
+        print(
+            f"{'step time [ms]':18}{summary['step_ms_p50']:10.2f}   median of {summary['steps']}"
+            f" steps; 99 %: {summary['step_ms_p99']:.2f}"
+        )
+    for name, count in summary.get("problems", {}).items():
+        print(f"problem: {name}: {count}")
+    if "damage" in summary:
+        print(f"damaged bag: {summary['damage']}")

@@ -1,0 +1,1 @@
+"""Which path belongs to which source: the k best assignments."""

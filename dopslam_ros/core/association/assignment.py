@@ -1,0 +1,68 @@
+"""The k best associations of rows to columns."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
+from dopslam_ros.core.association import murty as kernels
+from dopslam_ros.core.association.shortest_path import FREE, sparse
+
+# A row that is given to no column of its own choice.
+UNASSIGNED = FREE
+
+
+class Ranked(NamedTuple):
+    """Assignments in the order of their cost.
+
+    Attributes:
+        columns: (k, R) the column of each row, or UNASSIGNED.
+        costs: (k,) ascending.
+    """
+
+    columns: IntArray
+    costs: FloatArray
+
+
+def k_best_assignments(cost: FloatArray, idle_cost: FloatArray, k: int) -> Ranked:
+    """The k cheapest ways to give rows to columns, no column twice, any row may stay idle.
+
+    Of equally cheap ones always the same come out, in the same order.
+
+    Args:
+        cost: (R, C) of giving a row to a column; not finite where that is ruled out (gated).
+        idle_cost: (R,) of a row that gets no column; not finite where it must get one.
+        k: how many at most.
+
+    Returns:
+        Up to k assignments; none when no assignment is possible.
+
+    Raises:
+        ValueError: the shapes do not fit together.
+    """
+    cost = np.ascontiguousarray(cost, dtype=np.float64)
+    idle_cost = np.ascontiguousarray(idle_cost, dtype=np.float64)
+    if cost.ndim != 2 or idle_cost.shape != cost.shape[:1]:
+        raise ValueError(
+            f"costs of shape {cost.shape} with idle costs of shape {idle_cost.shape}:"
+            " give (R, C) and (R,)"
+        )
+    return Ranked(*kernels.k_best(cost, idle_cost, k))
+
+
+def clusters(possible: BoolArray) -> list[tuple[IntArray, IntArray]]:
+    """Splits a problem into parts that share no column: connected components.
+
+    Args:
+        possible: (R, C) which row may get which column.
+
+    Returns:
+        (rows, columns) of each part that has a row, ordered by first row.
+    """
+    rows, columns = possible.shape
+    problem = sparse(np.where(possible, 0.0, np.inf), np.zeros(rows))
+    head = kernels.cluster_heads(problem, columns)
+    members = [np.flatnonzero(head == first) for first in np.unique(head)]
+    return [(part, np.flatnonzero(possible[part].any(axis=0))) for part in members]

@@ -1,1 +1,0 @@
-"""The inner loops of the filter, compiled: plain functions of numbers and arrays."""

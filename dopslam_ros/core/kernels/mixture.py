@@ -1,9 +1,0 @@
-"""The pieces of the step for a mixture, whose hypotheses exchange a word between them."""
-
-from __future__ import annotations
-
-from dopslam_ros.core.kernels import step
-from dopslam_ros.core.kernels.compiled import exposed
-
-rank = exposed(step.rank)
-name = exposed(step.name)

@@ -1,0 +1,1 @@
+"""Arrays, small matrices and compiled code."""

@@ -1,0 +1,1 @@
+"""How the vehicle moves and what it hears: motion, channel, detection."""

@@ -1,0 +1,74 @@
+"""What a set says of whether the filter still knows where it is."""
+
+from __future__ import annotations
+
+import math
+
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
+from dopslam_ros.core.linalg.jit import compiled
+from dopslam_ros.core.association.shortest_path import FREE
+
+# Of a lost vehicle, the share of the paths that fall into the gate of a landmark by chance.
+BY_CHANCE = 0.1
+# No landmark is so sure to be heard that to miss it once would say more than this.
+SUREST = 0.95
+# Nor does a path that nothing explains say more than this [nat].
+MOST_OF_A_PATH = 3.0
+
+
+@compiled
+def read_signs(
+    ids: IntArray,
+    weight: FloatArray,
+    sources: IntArray,
+    log_missed: FloatArray,
+    log_new: FloatArray,
+    log_uniform: FloatArray,
+    clutter_mean: float,
+    signs: FloatArray,
+) -> None:
+    """Expected and heard, and the odds of lost against found.
+
+    Found, source t is heard with probability p_t and a path that is no source's has the intensity
+    c + rho. Lost, it is heard by chance only, and the paths of all sources are uniform, as clutter.
+
+    Args:
+        ids: (H, J) landmark of each path under each hypothesis, or FREE.
+        weight: (H,) of the hypotheses.
+        sources: (S,) ids of what could be heard, the BS (0) first.
+        log_missed: (S,) ln of the probability that it is not.
+        log_new: (J,) ln (c + rho).
+        log_uniform: (J,) ln of the density of a path that may be anything.
+        clutter_mean: mean number of clutter paths.
+        signs: (6,) result: sources expected, variance of their number, sources heard, how much of
+            the paths is clutter, whether the BS was heard, ln of the odds.
+    """
+    hypotheses, paths = ids.shape
+    expected, variance, heard, odds, line_of_sight = 0.0, 0.0, 0.0, 0.0, 0.0
+    for t in range(len(sources)):
+        p = min(1.0 - math.exp(log_missed[t]), SUREST)
+        share = 0.0
+        for h in range(hypotheses):
+            for j in range(paths):
+                if ids[h, j] == sources[t]:
+                    share += weight[h]
+        expected += p
+        variance += p * (1.0 - p)
+        heard += share
+        if t == 0:
+            line_of_sight = share
+        odds += share * math.log(BY_CHANCE)
+        odds += (1.0 - share) * math.log((1.0 - BY_CHANCE * p) / (1.0 - p))
+    clutter = 0.0
+    for j in range(paths):
+        free = 0.0
+        for h in range(hypotheses):
+            if ids[h, j] == FREE:
+                free += weight[h]
+        # Of what is free, the share of clutter is c / (c + rho).
+        if clutter_mean > 0.0:
+            clutter += free * clutter_mean * math.exp(log_uniform[j] - log_new[j])
+        surprise = math.log(clutter_mean + expected + BY_CHANCE) + log_uniform[j] - log_new[j]
+        odds += free * min(surprise, MOST_OF_A_PATH)
+    signs[0], signs[1], signs[2] = expected, variance, heard
+    signs[3], signs[4], signs[5] = clutter, line_of_sight, odds - expected

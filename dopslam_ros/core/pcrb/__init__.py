@@ -1,0 +1,1 @@
+"""The posterior Cramér-Rao bound of vehicle and map."""

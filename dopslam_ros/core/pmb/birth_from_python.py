@@ -1,0 +1,17 @@
+"""New landmarks from single paths, for the filters that are written in NumPy."""
+
+from __future__ import annotations
+
+from dopslam_ros.core.pmb.state import FilterParameters, FilterState
+from dopslam_ros.core.pmb import birth
+from dopslam_ros.core.linalg.jit import exposed
+from dopslam_ros.core.pmb.records import Births, Observed
+
+_propose = exposed(birth.propose)
+
+
+def propose(
+    state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
+) -> Births:
+    """``kernels.birth.propose``, which says what it does, for the vehicle of a state."""
+    return _propose(state.density, observed, float(speed), parameters.constants)

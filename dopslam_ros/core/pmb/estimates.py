@@ -1,0 +1,91 @@
+"""The map as it is shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
+from dopslam_ros.core.models.channel import LandmarkType
+from dopslam_ros.core.pmb.inactive import in_space_now
+from dopslam_ros.core.pmb.state import FilterParameters, FilterState
+from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
+
+
+@dataclass(frozen=True)
+class LandmarkEstimates:
+    """The landmarks that are reported, the BS not among them.
+
+    Attributes:
+        ids: (L,) stable ids.
+        types: (L,) most probable type.
+        type_probabilities: (L, 3) in the order of LandmarkType.
+        existence: (L,) probabilities.
+        positions: (L, 3) [m], given the type.
+        covariances: (L, 3, 3) [m^2].
+    """
+
+    ids: IntArray
+    types: IntArray
+    type_probabilities: FloatArray
+    existence: FloatArray
+    positions: FloatArray
+    covariances: FloatArray
+
+
+_PARTS = tuple(part.name for part in fields(LandmarkEstimates))
+
+
+def reported_landmarks(state: FilterState, parameters: FilterParameters) -> LandmarkEstimates:
+    """The map: landmarks that surely exist and whose place is known, in view or not."""
+    tracks = len(state.track_id)
+    probabilities = np.zeros((tracks, len(LandmarkType)))
+    probabilities[state.component_track, state.component_type] = state.component_weight
+    best = np.zeros(tracks, dtype=np.int64)
+    # Ascending weight: the heaviest component of a track is written last.
+    order = np.argsort(state.component_weight, kind="stable")
+    best[state.component_track[order]] = order
+    position, covariance = components_in_space(state.density)
+    awake = LandmarkEstimates(
+        ids=state.track_id,
+        types=state.component_type[best],
+        type_probabilities=probabilities,
+        existence=state.existence,
+        positions=position[best],
+        covariances=covariance[best],
+    )
+    everything = _together(awake, _out_of_view(state))
+    spread = np.sqrt(np.trace(everything.covariances, axis1=1, axis2=2))
+    shown = (everything.existence >= parameters.report_existence) & (
+        spread <= parameters.report_std
+    )
+    order = np.flatnonzero(shown)
+    return _rows(everything, order[np.argsort(everything.ids[order], kind="stable")])
+
+
+def _out_of_view(state: FilterState) -> LandmarkEstimates | None:
+    sleepers = state.asleep.everybody
+    if sleepers is None:
+        return None
+    position, covariance = in_space_now(state, sleepers)
+    types = np.full(len(sleepers), int(LandmarkType.SP))
+    return LandmarkEstimates(
+        ids=sleepers.track_id,
+        types=types,
+        type_probabilities=np.eye(len(LandmarkType))[types],
+        existence=sleepers.existence,
+        positions=position,
+        covariances=covariance,
+    )
+
+
+def _rows(landmarks: LandmarkEstimates, which: IntArray) -> LandmarkEstimates:
+    return LandmarkEstimates(*(getattr(landmarks, name)[which] for name in _PARTS))
+
+
+def _together(one: LandmarkEstimates, other: LandmarkEstimates | None) -> LandmarkEstimates:
+    if other is None:
+        return one
+    pairs = ((getattr(one, name), getattr(other, name)) for name in _PARTS)
+    return LandmarkEstimates(*map(np.concatenate, pairs))

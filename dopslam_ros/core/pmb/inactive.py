@@ -1,0 +1,127 @@
+"""Scattering points out of view are put aside, so that they cost nothing until they come back.
+
+A landmark that cannot be detected learns only through what it has in common with the rest. Of that,
+nearly all goes through the virtual anchors, which stay in view: given them, an SP that was left
+behind and the vehicle of later hardly depend on each other. So a landmark that falls asleep keeps
+its regression on the anchors,
+
+    q = q_then + gain (anchor_q - anchor_q_then) + noise of covariance ``residual``,
+
+which no later update of vehicle and anchors changes. When it wakes up, its mean, its covariance and
+its correlation with everything follow from the anchors as they are then. What is lost is what two
+landmarks, or a landmark and the vehicle, have in common beyond the anchors.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray, block_indices, symmetrise
+from dopslam_ros.core.models.channel import LandmarkType
+from dopslam_ros.core.pmb.inactive_grid import Sleepers
+from dopslam_ros.core.pmb.state import UE, FilterParameters, FilterState
+from dopslam_ros.core.pmb import inactive_kernels as kernels
+from dopslam_ros.core.pmb.inactive_kernels import MARGIN, left_behind
+from dopslam_ros.core.pmb.coordinates_kernels import in_space
+
+# Only virtual anchors that surely are what they are carry others.
+SURE = 0.999
+# Less likely than this when it is left behind, a landmark is forgotten.
+FORGOTTEN = 0.05
+# Smallest cell of the grid [m].
+SMALLEST_CELL = 1.0
+
+
+def fall_asleep(state: FilterState, parameters: FilterParameters) -> FilterState:
+    """Puts SPs aside that the vehicle has left behind."""
+    reach, leaving = left_behind(state.density, float(parameters.sp_field_of_view))
+    if not leaving.any():
+        return state
+    asleep = state.asleep
+    least = FORGOTTEN if parameters.mapping else 0.0
+    remembered = np.flatnonzero((leaving & (state.existence >= least))[state.component_track])
+    if len(remembered):
+        sleepers = _sleepers(state, remembered, reach[remembered])
+        asleep = asleep.with_more(sleepers, _cell_size(parameters))
+    awake = state.only(~leaving[state.component_track], ~leaving)
+    return replace(awake, asleep=asleep)
+
+
+def wake_up(state: FilterState, parameters: FilterParameters) -> FilterState:
+    """Takes those back that may be detected from where the vehicle is."""
+    if not state.asleep.cells:
+        return state
+    found, asleep = state.asleep.take(state.ue_mean[:2], _blur(state), _cell_size(parameters))
+    if found is None:
+        return state
+    count, tracks = len(found), len(state.track_id)
+    mean, covariance = kernels.woken(state.density, found.regressions)
+    awake = state.but(
+        mean=mean,
+        covariance=covariance,
+        origin=np.concatenate([state.origin, found.origin]),
+        axes=np.concatenate([state.axes, found.axes]),
+        component_track=np.concatenate([state.component_track, tracks + np.arange(count)]),
+        component_type=np.append(state.component_type, np.full(count, int(LandmarkType.SP))),
+        component_weight=np.append(state.component_weight, np.ones(count)),
+        track_id=np.append(state.track_id, found.track_id),
+        existence=np.append(state.existence, found.existence),
+    )
+    return replace(awake, asleep=asleep)
+
+
+def as_of_now(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) placements and (N, 3, 3) covariances of sleepers, as the anchors have it now."""
+    return kernels.as_of_now(state.density, sleepers.regressions)
+
+
+def in_space_now(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) positions [m] and (N, 3, 3) covariances of sleepers, as the anchors have it now."""
+    return in_space(sleepers.origin, sleepers.axes, *as_of_now(state, sleepers))
+
+
+def _blur(state: FilterState) -> float:
+    """How far the vehicle may be from where it seems to be [m]."""
+    return MARGIN * math.sqrt(state.covariance[0, 0] + state.covariance[1, 1])
+
+
+def _cell_size(parameters: FilterParameters) -> float:
+    return max(parameters.sp_field_of_view, SMALLEST_CELL)
+
+
+def _anchors(state: FilterState) -> IntArray:
+    """Components of virtual anchors that are sure: no other stays in view for good."""
+    sure = state.existence[state.component_track] * state.component_weight > SURE
+    return np.flatnonzero(sure & (state.component_type == LandmarkType.VA))
+
+
+def _sleepers(state: FilterState, components: IntArray, reach: FloatArray) -> Sleepers:
+    """Components, the only ones of their tracks, as they are put aside."""
+    anchors = _anchors(state)
+    count = len(components)
+    index = block_indices(UE, anchors, 3).ravel()
+    own = block_indices(UE, components, 3).ravel()
+    cross = state.covariance[own][:, index]
+    within = state.covariance[np.ix_(index, index)]
+    # In memory as a file gives it back: products round otherwise in another order.
+    gain = np.ascontiguousarray(np.linalg.solve(within, cross.T).T, np.float64)
+    covariance = state.placement_covariances[components]
+    explained = gain.reshape(count, 3, -1) @ np.swapaxes(cross.reshape(count, 3, -1), 1, 2)
+    track = state.component_track[components]
+    return Sleepers(
+        track_id=state.track_id[track],
+        existence=state.existence[track],
+        reach=reach,
+        position=state.positions[components],
+        origin=state.origin[components],
+        axes=state.axes[components],
+        q=state.placements[components],
+        covariance=covariance,
+        anchors=np.tile(state.track_id[state.component_track[anchors]], (count, 1)),
+        anchor_q=np.tile(state.mean[index], (count, 1)),
+        gain=gain.reshape(count, 3, -1),
+        residual=symmetrise(covariance - explained),
+    )

@@ -1,0 +1,159 @@
+"""Landmarks kept aside, by place: a grid of cells, each a struct of arrays."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+
+import numpy as np
+
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
+from dopslam_ros.core.pmb import inactive_kernels as kernels
+from dopslam_ros.core.pmb.records import Regressions
+
+CellIndex = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Sleepers:
+    """N scattering points and how they hang on A anchors, unused ones with id 0 and gain 0.
+
+    Attributes:
+        track_id: (N,).
+        existence: (N,).
+        reach: (N,) distance of the vehicle at which they must be awake [m].
+        position: (N, 3) when they fell asleep [m].
+        origin: (N, 3) of their frames [m].
+        axes: (N, 3, 3).
+        q: (N, 3) placements when they fell asleep.
+        covariance: (N, 3, 3) of q then.
+        anchors: (N, A) track ids of the virtual anchors they hang on.
+        anchor_q: (N, 3 A) placements of the anchors then.
+        gain: (N, 3, 3 A) dq / d anchor_q.
+        residual: (N, 3, 3) covariance of q given the anchors.
+    """
+
+    track_id: IntArray
+    existence: FloatArray
+    reach: FloatArray
+    position: FloatArray
+    origin: FloatArray
+    axes: FloatArray
+    q: FloatArray
+    covariance: FloatArray
+    anchors: IntArray
+    anchor_q: FloatArray
+    gain: FloatArray
+    residual: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.track_id)
+
+    @property
+    def regressions(self) -> Regressions:
+        """What ties them to their anchors."""
+        return Regressions(
+            self.anchors, self.anchor_q, self.gain, self.q, self.covariance, self.residual
+        )
+
+    def rows(self, which: IntArray) -> Sleepers:
+        """Some of them."""
+        return Sleepers(*(getattr(self, part.name)[which] for part in fields(self)))
+
+    def hanging_on(self, count: int) -> Sleepers:
+        """The same with room for ``count`` anchors."""
+        more = count - self.anchors.shape[1]
+        if more <= 0:
+            return self
+        return Sleepers(
+            **{
+                **{part.name: getattr(self, part.name) for part in fields(self)},
+                "anchors": np.pad(self.anchors, [(0, 0), (0, more)]),
+                "anchor_q": np.pad(self.anchor_q, [(0, 0), (0, 3 * more)]),
+                "gain": np.pad(self.gain, [(0, 0), (0, 0), (0, 3 * more)]),
+            }
+        )
+
+
+def together(parts: Sequence[Sleepers]) -> Sleepers:
+    """All of them, one after the other."""
+    most = max(part.anchors.shape[1] for part in parts)
+    alike = [part.hanging_on(most) for part in parts]
+    return Sleepers(
+        *(np.concatenate([getattr(p, part.name) for p in alike]) for part in fields(Sleepers))
+    )
+
+
+@dataclass(frozen=True)
+class Asleep:
+    """Sleepers by the cell of the ground they are in.
+
+    Attributes:
+        cells: the sleepers of each cell that has some.
+        widest: the largest reach of any that ever were here [m].
+    """
+
+    cells: Mapping[CellIndex, Sleepers] = field(default_factory=dict)
+    widest: float = 0.0
+
+    def __len__(self) -> int:
+        return sum(map(len, self.cells.values()))
+
+    @cached_property
+    def everybody(self) -> Sleepers | None:
+        """All sleepers, or None."""
+        return together(list(self.cells.values())) if self.cells else None
+
+    def with_more(self, sleepers: Sleepers, size: float) -> Asleep:
+        """With some more of them.
+
+        Args:
+            sleepers: to add.
+            size: of a cell [m]; always the same.
+        """
+        cells = dict(self.cells)
+        place = np.floor(sleepers.position[:, :2] / size).astype(np.int64)
+        for index in {(int(x), int(y)) for x, y in place}:
+            mine = sleepers.rows(np.flatnonzero((place == index).all(axis=1)))
+            cells[index] = together([cells[index], mine]) if index in cells else mine
+        return Asleep(cells, max(self.widest, float(sleepers.reach.max())))
+
+    def take(self, ue: FloatArray, blur: float, size: float) -> tuple[Sleepers | None, Asleep]:
+        """Those that must be awake, or None, and the rest.
+
+        Args:
+            ue: (2,) the vehicle [m].
+            blur: added to every reach [m].
+            size: of a cell [m].
+        """
+        cells: dict[CellIndex, Sleepers] | None = None
+        found = []
+        for index in self._indices(ue, self.widest + blur, size):
+            sleepers = self.cells.get(index)
+            if sleepers is None:
+                continue
+            near = kernels.near(sleepers.position, sleepers.reach, ue, blur)
+            if not near.any():
+                continue
+            cells = dict(self.cells) if cells is None else cells
+            found.append(sleepers.rows(np.flatnonzero(near)))
+            if near.all():
+                del cells[index]
+            else:
+                cells[index] = sleepers.rows(np.flatnonzero(~near))
+        if cells is None:
+            return None, self
+        return together(found), Asleep(cells, self.widest)
+
+    def _indices(self, ue: FloatArray, far: float, size: float) -> list[CellIndex]:
+        """Cells of the square of half width ``far``, or all there are where these are fewer."""
+        rows, columns = (
+            range(math.floor((at - far) / size), math.floor((at + far) / size) + 1)
+            for at in ue.tolist()
+        )
+        if len(rows) * len(columns) > len(self.cells):
+            return list(self.cells)
+        return list(itertools.product(rows, columns))

@@ -1,0 +1,181 @@
+"""Which scattering points the vehicle has left behind, and how they are when it comes back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
+from dopslam_ros.core.models.channel_kernels import SP, VA
+from dopslam_ros.core.linalg.jit import compiled, part
+from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
+from dopslam_ros.core.pmb.records import NONE, UE, Density, Regressions
+
+# Standard deviations beyond the field of view at which a detection is out of the question.
+MARGIN = 5.0
+# A landmark falls asleep this share of the field of view farther away than it wakes up.
+HYSTERESIS = 0.1
+
+
+@part
+def some_left_behind(density: Density, view: float) -> bool:
+    """Whether there is any track that ``left_behind`` finds."""
+    _, leaving = left_behind(density, view)
+    for one in leaving:
+        if one:
+            return True
+    return False
+
+
+@compiled
+def left_behind(density: Density, view: float) -> tuple[FloatArray, BoolArray]:
+    """Tracks of which every component is an SP too far away to be detected.
+
+    Args:
+        density: after a step.
+        view: the field of view [m].
+
+    Returns:
+        (C,) the distance at which the components must be awake again [m], and (T,) which tracks
+        are left behind.
+    """
+    mean, covariance = density.mean, density.covariance
+    component_track, component_type = density.component_track, density.component_type
+    reach = np.empty(len(component_track))
+    leaving = np.full(len(density.track_id), True)
+    blur = MARGIN * math.sqrt(covariance[0, 0] + covariance[1, 1])
+    position, spread = components_in_space(density)
+    for c in range(len(component_track)):
+        variance = spread[c, 0, 0] + spread[c, 1, 1] + spread[c, 2, 2]
+        reach[c] = view + MARGIN * math.sqrt(max(variance, 0.0))
+        distance = math.hypot(position[c, 0] - mean[0], position[c, 1] - mean[1])
+        if component_type[c] != SP or distance <= reach[c] + blur + HYSTERESIS * view:
+            leaving[component_track[c]] = False
+    return reach, leaving
+
+
+@compiled
+def near(position: FloatArray, reach: FloatArray, ue: FloatArray, blur: float) -> BoolArray:
+    """(N,) which places (N, 3) [m] are within their reach (N,) [m] and the blur of ue (2,) [m]."""
+    found = np.empty(len(reach), np.bool_)
+    for i in range(len(reach)):
+        away = math.hypot(position[i, 0] - ue[0], position[i, 1] - ue[1])
+        found[i] = away <= reach[i] + blur
+    return found
+
+
+@compiled
+def as_of_now(density: Density, hanging: Regressions) -> tuple[FloatArray, FloatArray]:
+    """N sleepers as their anchors have it now.
+
+    Returns:
+        (N, 3) placements and (N, 3, 3) their covariances.
+    """
+    q, n = hanging.q, len(density.mean)
+    places, spreads = np.empty_like(q), np.empty_like(hanging.residual)
+    rows, cross = np.empty((3, n)), np.empty((3, n))
+    for s in range(len(q)):
+        hangs = regress(density, hanging, s, rows, places[s])
+        own = hanging.residual[s] if hangs else hanging.covariance[s]
+        multiply(rows, density.covariance, cross)
+        for i in range(3):
+            for j in range(i + 1):
+                spreads[s, i, j] = own[i, j] + inner(cross[i], rows[j])
+                spreads[s, j, i] = spreads[s, i, j]
+    return places, spreads
+
+
+@compiled
+def woken(density: Density, hanging: Regressions) -> tuple[FloatArray, FloatArray]:
+    """Mean (n + 3 N,) and covariance of the joint vector with N sleepers behind the rest."""
+    n, size = len(density.mean), len(density.mean) + 3 * len(hanging.q)
+    mean, joint = np.empty(size), np.empty((size, size))
+    for i in range(n):
+        mean[i] = density.mean[i]
+        for j in range(n):
+            joint[i, j] = density.covariance[i, j]
+    rows, cross = np.empty((size - n, n)), np.empty((size - n, n))
+    for s in range(len(hanging.q)):
+        at = n + 3 * s
+        hangs = regress(density, hanging, s, rows[at - n : at - n + 3], mean[at : at + 3])
+        own = hanging.residual[s] if hangs else hanging.covariance[s]
+        for i in range(3):
+            for j in range(3):
+                joint[at + i, at + j] = own[i, j]
+    multiply(rows, density.covariance, cross)
+    for i in range(n, size):
+        for j in range(n):
+            joint[i, j] = cross[i - n, j]
+            joint[j, i] = cross[i - n, j]
+        for j in range(n, i + 1):
+            within = joint[i, j] if (j - n) // 3 == (i - n) // 3 else 0.0
+            joint[i, j] = within + inner(cross[i - n], rows[j - n])
+            joint[j, i] = joint[i, j]
+    return mean, joint
+
+
+@part
+def regress(
+    density: Density, hanging: Regressions, s: int, rows: FloatArray, place: FloatArray
+) -> bool:
+    """How a sleeper depends on the joint vector; not at all where it has lost an anchor.
+
+    Args:
+        density: as it is now.
+        hanging: of all sleepers.
+        s: which of them.
+        rows: (3, n) result: dq / d joint vector.
+        place: (3,) result: q now.
+
+    Returns:
+        Whether all its anchors are there.
+    """
+    rows.fill(0.0)
+    for i in range(3):
+        place[i] = hanging.q[s, i]
+    for k in range(hanging.anchors.shape[1]):
+        if hanging.anchors[s, k] <= 0:  # a place that is not used
+            continue
+        column = column_of(density, hanging.anchors[s, k])
+        if column == NONE:
+            rows.fill(0.0)
+            for i in range(3):
+                place[i] = hanging.q[s, i]
+            return False
+        for i in range(3):
+            for j in range(3):
+                by = hanging.gain[s, i, 3 * k + j]
+                rows[i, column + j] += by
+                place[i] += by * (density.mean[column + j] - hanging.anchor_q[s, 3 * k + j])
+    return True
+
+
+@part
+def column_of(density: Density, anchor: int) -> int:
+    """Where in the joint vector the virtual anchor with an id is, or NONE."""
+    for c in range(len(density.component_type)):
+        if density.component_type[c] == VA:
+            if density.track_id[density.component_track[c]] == anchor:
+                return UE + 3 * c
+    return NONE
+
+
+@part
+def multiply(rows: FloatArray, covariance: FloatArray, product: FloatArray) -> None:
+    """product (m, n) = rows (m, n) covariance (n, n); few of the rows' numbers are not zero."""
+    product.fill(0.0)
+    for i in range(len(rows)):
+        for k in range(len(covariance)):
+            if rows[i, k] != 0.0:
+                for j in range(len(covariance)):
+                    product[i, j] += rows[i, k] * covariance[k, j]
+
+
+@part
+def inner(one: FloatArray, other: FloatArray) -> float:
+    """The inner product of two vectors (n,)."""
+    total = 0.0
+    for k in range(len(one)):
+        total += one[k] * other[k]
+    return total

@@ -1,0 +1,83 @@
+"""What of a filter is kept for later: its map, or all it needs to go on where it was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dopslam_ros.core.pmb import FilterParameters, FilterState, Mixture
+from dopslam_ros.core.pmb.known_map import map_of, with_map
+from dopslam_ros.core.models.motion import Control, ControlSpan
+
+MAP, SNAPSHOT = "map", "snapshot"
+# The stamp of a filter that has not processed a set yet.
+BEFORE_ALL = -1
+# What a filter must have in common with the one that saved.
+_FOR_A_MAP = ("bs_position", "ue_height", "sp_field_of_view")
+_MUST_AGREE = {MAP: _FOR_A_MAP, SNAPSHOT: (*_FOR_A_MAP, "coupling", "density", "mapping")}
+
+
+class SavedError(ValueError):
+    """Something saved that cannot be used; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A map, or a snapshot of a whole filter.
+
+    Attributes:
+        kind: MAP: the density has one hypothesis, without a vehicle; or SNAPSHOT.
+        stamp_ns: time of the last set that is in it, or BEFORE_ALL.
+        parameters: of the filter that saved it.
+        mixture: the density.
+        controls: with their stamps [ns], from the one in force at the stamp on.
+        owed: motion that the density has still to make up for.
+        known: the map as it was loaded, of a filter that only localises.
+    """
+
+    kind: str
+    stamp_ns: int
+    parameters: Mapping[str, Any]
+    mixture: Mixture
+    controls: tuple[tuple[int, Control], ...] = ()
+    owed: tuple[ControlSpan, ...] = ()
+    known: Saved | None = None
+
+    def check(self, kind: str, parameters: FilterParameters) -> None:
+        """Whether a filter with these parameters can use it as such.
+
+        Raises:
+            SavedError: it is of another kind, or a parameter that must agree does not.
+        """
+        if self.kind != kind:
+            raise SavedError(f"this is a {self.kind}, not a {kind}: give a {kind}")
+        for name in _MUST_AGREE[kind]:
+            theirs, ours = self.parameters.get(name), getattr(parameters, name)
+            if not _same(theirs, ours):
+                raise SavedError(
+                    f"this {kind} was made with {name} = {theirs}, the filter has {name} ="
+                    f" {ours}: start the filter with that value, or use another {kind}"
+                )
+
+
+def saved_map(state: FilterState, stamp_ns: int, parameters: Mapping[str, Any]) -> Saved:
+    """The map of a density, with the parameters of its filter by name."""
+    return Saved(MAP, stamp_ns, parameters, Mixture((map_of(state),), np.ones(1)))
+
+
+def in_map(vehicle: FilterState, known: Saved, parameters: FilterParameters) -> Mixture:
+    """A vehicle in a map that it is independent of."""
+    return Mixture((with_map(vehicle, known.mixture.best, parameters),), np.ones(1))
+
+
+def _same(theirs: Any, ours: Any) -> bool:
+    if isinstance(ours, (tuple, list)):
+        pairs = list(zip(theirs, ours, strict=False)) if isinstance(theirs, (tuple, list)) else []
+        return len(pairs) == len(ours) == len(theirs or ()) and all(_same(*p) for p in pairs)
+    if isinstance(ours, float):
+        return isinstance(theirs, (int, float)) and math.isclose(theirs, ours, rel_tol=1e-12)
+    return bool(theirs == ours)

@@ -1,0 +1,1 @@
+"""Parameters, each declared once: name, default, unit, range and text."""

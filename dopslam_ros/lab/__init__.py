@@ -1,0 +1,1 @@
+"""Studies, benchmarks, figures and reports: nothing here runs on a robot."""

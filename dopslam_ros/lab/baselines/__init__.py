@@ -1,0 +1,1 @@
+"""Other estimators to compare with."""

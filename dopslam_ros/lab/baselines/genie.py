@@ -1,0 +1,223 @@
+"""A filter that knows which path came from which landmark: the best any association can do.
+
+A baseline for studies and the oracle that the bounds are checked against. It is told the true
+source of every path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray, block_indices, symmetrise, wrap_angle
+from dopslam_ros.core.models.channel import DIM, LandmarkType, observe
+from dopslam_ros.core.pmb import LandmarkEstimates, coordinates as placement
+from dopslam_ros.core.pmb.birth_from_python import propose
+from dopslam_ros.core.pmb.observed import masked_residual, prepare
+from dopslam_ros.core.pmb.state import UE, UNKNOWN_TYPES, FilterParameters, initial_filter_state
+from dopslam_ros.core.pcrb.bounds_kernels import DIFFUSE_STD
+from dopslam_ros.core.pmb.records import Observed
+from dopslam_ros.core.models.measurements import MeasurementSet
+from dopslam_ros.core.models.motion import ControlSpan, predict_covariance, propagate_spans
+from dopslam_ros.simulation.simulator import CLUTTER
+
+ITERATIONS = 5
+
+
+@dataclass(frozen=True)
+class GenieState:
+    """Joint Gaussian over [s; q of the landmarks seen], q as in ``filter.placement``.
+
+    Attributes:
+        mean: (4 + 3 L,).
+        covariance: (4 + 3 L, 4 + 3 L).
+        origin: (L, 3) of the landmarks' frames [m].
+        axes: (L, 3, 3).
+        sources: (L,) source number of each landmark, as in Snapshot.sources.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    origin: FloatArray
+    axes: FloatArray
+    sources: IntArray
+
+    @property
+    def positions(self) -> FloatArray:
+        """(L, 3) of the landmarks [m]."""
+        return placement.positions(self.origin, self.axes, self._placements)
+
+    @property
+    def position_covariances(self) -> FloatArray:
+        """(L, 3, 3) of the positions, to first order [m^2]."""
+        index = block_indices(UE, np.arange(len(self.sources)), 3)
+        blocks = self.covariance[index[:, :, None], index[:, None, :]]
+        jacobian = placement.jacobians(self.axes, self._placements)
+        return symmetrise(jacobian @ blocks @ np.swapaxes(jacobian, 1, 2))
+
+    @property
+    def _placements(self) -> FloatArray:
+        return self.mean[UE:].reshape(-1, 3)
+
+
+def initial_genie(parameters: FilterParameters) -> GenieState:
+    """The prior of the vehicle, no landmark."""
+    return GenieState(
+        np.array(parameters.initial_state),
+        parameters.initial_covariance,
+        np.zeros((0, 3)),
+        np.zeros((0, 3, 3)),
+        np.zeros(0, dtype=np.int64),
+    )
+
+
+def genie_step(
+    state: GenieState,
+    measurements: MeasurementSet,
+    sources: IntArray,
+    types: IntArray,
+    spans: Sequence[ControlSpan],
+    speed: float,
+    parameters: FilterParameters,
+) -> GenieState:
+    """Predict, then one iterated joint EKF update with the true association.
+
+    Args:
+        state: before.
+        measurements: the snapshot, J paths.
+        sources: (J,) true source of each path: 0 the BS, i landmark i, or CLUTTER.
+        types: (1 + I,) true types by source number.
+        spans: controls since the previous snapshot.
+        speed: v at the snapshot [m/s].
+        parameters: models.
+    """
+    ue, jacobian, noise = propagate_spans(state.mean[:UE], spans, parameters.noise_rate)
+    mean = np.concatenate([ue, state.mean[UE:]])
+    covariance = predict_covariance(state.covariance, jacobian, noise)
+    real = sources != CLUTTER
+    observed = prepare(
+        MeasurementSet(measurements.values[real], measurements.covariances[real]), parameters
+    )
+    predicted = replace(state, mean=mean, covariance=covariance)
+    ready, kept = _with_new_landmarks(predicted, observed, sources[real], types, speed, parameters)
+    observed = Observed(observed.values[kept], observed.used[kept], observed.noise[kept])
+    return _update(ready, observed, sources[real][kept], types, speed, parameters)
+
+
+def genie_landmarks(
+    state: GenieState, types: IntArray, parameters: FilterParameters
+) -> LandmarkEstimates:
+    """The landmarks seen whose place is known as well as the other filters must know it.
+
+    Args:
+        state: after a step.
+        types: (1 + I,) true types by source number.
+        parameters: with ``report_std``.
+    """
+    covariances = state.position_covariances
+    shown = np.sqrt(np.trace(covariances, axis1=1, axis2=2)) <= parameters.report_std
+    kinds = types[state.sources[shown]]
+    return LandmarkEstimates(
+        ids=state.sources[shown],
+        types=kinds,
+        type_probabilities=np.eye(len(LandmarkType))[kinds],
+        existence=np.ones(len(kinds)),
+        positions=state.positions[shown],
+        covariances=covariances[shown],
+    )
+
+
+def _with_new_landmarks(
+    state: GenieState,
+    observed: Observed,
+    sources: IntArray,
+    types: IntArray,
+    speed: float,
+    parameters: FilterParameters,
+) -> tuple[GenieState, IntArray]:
+    """Appends landmarks never seen, diffuse, where their path puts them; and the usable paths."""
+    base = initial_filter_state(parameters).but(
+        mean=state.mean[:UE],
+        covariance=state.covariance[:UE, :UE],
+    )
+    births = propose(base, observed, speed, parameters)
+    new, kept = [], []
+    for path, source in enumerate(sources.tolist()):
+        if source == 0 or source in state.sources:
+            kept.append(path)
+            continue
+        kind = UNKNOWN_TYPES.index(int(types[source]))
+        if np.isfinite(births.log_intensity[kind, path]):
+            kept.append(path)
+            new.append((source, births.position[kind, path]))
+    position = np.array([position for _, position in new]).reshape(-1, 3)
+    origin = np.tile(np.append(state.mean[:2], parameters.ue_height), (len(new), 1))
+    axes = placement.frames(position - origin)
+    q = placement.placements(origin, axes, position)
+    std = DIFFUSE_STD / np.stack([np.ones(len(new)), q[:, 0], q[:, 0]], axis=1)
+    old = len(state.mean)
+    covariance = np.diag(np.concatenate([np.zeros(old), std.ravel() ** 2]))
+    covariance[:old, :old] = state.covariance
+    ready = GenieState(
+        mean=np.concatenate([state.mean, q.ravel()]),
+        covariance=covariance,
+        origin=np.concatenate([state.origin, origin]),
+        axes=np.concatenate([state.axes, axes]),
+        sources=np.concatenate([state.sources, [source for source, _ in new]]).astype(np.int64),
+    )
+    return ready, np.array(kept, dtype=np.int64)
+
+
+def _update(
+    state: GenieState,
+    observed: Observed,
+    sources: IntArray,
+    types: IntArray,
+    speed: float,
+    parameters: FilterParameters,
+) -> GenieState:
+    if not len(sources):
+        return state
+    size, count = len(state.mean), len(sources)
+    is_bs = sources == 0
+    # Row 0 is the BS, then the landmarks.
+    row = np.array(
+        [0 if s == 0 else 1 + int(np.flatnonzero(state.sources == s)[0]) for s in sources]
+    )
+    columns = block_indices(UE, row - 1, 3)
+    kinds = np.where(is_bs, int(LandmarkType.BS), types[sources])
+    noise = np.zeros((count * DIM, count * DIM))
+    for number in range(count):
+        block = slice(DIM * number, DIM * number + DIM)
+        noise[block, block] = observed.noise[number]
+    mean = state.mean
+    for _ in range(ITERATIONS):
+        q = mean[UE:].reshape(-1, 3)
+        places = np.vstack([parameters.bs, placement.positions(state.origin, state.axes, q)])
+        to_position = placement.jacobians(state.axes, q)
+        paths = observe(mean[:UE], speed, places[row], kinds, parameters.bs, parameters.ue_height)
+        blocks = np.zeros((count, DIM, size))
+        blocks[:, :, :UE] = paths.ue_jacobian
+        for path in np.flatnonzero(~is_bs):
+            blocks[path][:, columns[path]] = (
+                paths.landmark_jacobian[path] @ to_position[row[path] - 1]
+            )
+        rows = (blocks * observed.used[:, :, None]).reshape(-1, size)
+        innovation = masked_residual(observed, paths.mean).ravel()
+        innovation = innovation + rows @ _difference(mean, state.mean)
+        projected = rows @ state.covariance
+        gain = np.linalg.solve(symmetrise(projected @ rows.T + noise), projected).T
+        mean = state.mean + gain @ innovation
+    keep = np.eye(size) - gain @ rows
+    covariance = symmetrise(keep @ state.covariance @ keep.T + gain @ noise @ gain.T)
+    mean = mean.copy()
+    mean[2] = wrap_angle(mean[2])
+    return replace(state, mean=mean, covariance=covariance)
+
+
+def _difference(mean: FloatArray, prior: FloatArray) -> FloatArray:
+    difference = mean - prior
+    difference[2] = wrap_angle(difference[2])
+    return difference

@@ -1,0 +1,1 @@
+"""The only place that knows topics, their QoS and the fields of messages."""

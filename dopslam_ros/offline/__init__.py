@@ -1,0 +1,1 @@
+"""Filtering a bag without middleware, and judging what came out."""

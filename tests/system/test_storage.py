@@ -1,0 +1,151 @@
+"""Maps on disk: names that stay in their folder, files that are whole, snapshots beside the run."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from dopslam_ros.core.pmb import FilterParameters
+from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, Saved, SavedError
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.session.checkpoint_file import to_bytes
+from dopslam_ros.system.storage import SnapshotWriter, Store, read_saved, write_saved
+
+SESSION = FilterSession(FilterParameters())
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    """A folder that is not there yet."""
+    return Store(str(tmp_path / "maps"))
+
+
+def test_what_is_written_is_read(store: Store) -> None:
+    saved = SESSION.known_map()
+    path = store.write("hall", saved)
+    assert path == store.folder / "hall.dopmap"
+    assert to_bytes(store.read("hall", MAP)) == to_bytes(store.read("hall.dopmap", MAP))
+    assert path.read_bytes() == to_bytes(saved)
+    store.write("hall", saved)
+    assert [p.name for p in store.folder.iterdir()] == ["hall.dopmap"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "..", "../x", "a/b", "/etc/passwd", ".a", "a\0b", "a\nb", "~", "x" * 101, "ü", "a\\b"],
+)
+def test_a_name_cannot_lead_out_of_the_folder(store: Store, name: str) -> None:
+    for act in (
+        lambda: store.write(name, SESSION.known_map()),
+        lambda: store.read(name, MAP),
+        lambda: store.path(name, SNAPSHOT),
+    ):
+        with pytest.raises(SavedError, match="no name"):
+            act()
+    assert not store.folder.exists()
+
+
+def test_links_are_not_followed(store: Store, tmp_path: Path) -> None:
+    outside = tmp_path / "outside.dopmap"
+    write_saved(outside, SESSION.known_map())
+    before = outside.read_bytes()
+    store.folder.mkdir()
+    link = store.folder / "link.dopmap"
+    link.symlink_to(outside)
+    with pytest.raises(SavedError, match="cannot be read"):
+        store.read("link", MAP)
+    planted = store.folder / "link.dopmap.tmp"
+    planted.symlink_to(outside)
+    store.write("link", replace(SESSION.known_map(), stamp_ns=7))
+    assert outside.read_bytes() == before
+    assert not link.is_symlink() and store.read("link", MAP).stamp_ns == 7
+
+
+def test_what_is_no_file_is_refused_at_once(store: Store) -> None:
+    store.folder.mkdir()
+    os.mkfifo(store.folder / "pipe.dopmap")
+    (store.folder / "folder.dopmap").mkdir()
+    with (store.folder / "huge.dopmap").open("wb") as file:
+        file.truncate(1 << 40)  # a hole: it takes no room on the disk
+    for name in ("pipe", "folder", "huge", "nothing"):
+        with pytest.raises(SavedError, match=f"{name}.dopmap' cannot be read"):
+            store.read(name, MAP)
+
+
+def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    store = Store(str(tmp_path / "file"))
+    with pytest.raises(SavedError, match="cannot be written"):
+        store.write("hall", SESSION.known_map())
+    with pytest.raises(SavedError, match="cannot be made"):
+        SnapshotWriter(store, "last", 0.1)
+
+
+def test_a_write_that_fails_leaves_the_old_file(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = store.write("hall", SESSION.known_map())
+    before = path.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(SavedError, match="No space left"):
+        store.write("hall", replace(SESSION.known_map(), stamp_ns=9))
+    assert path.read_bytes() == before
+    assert [p.name for p in store.folder.iterdir()] == ["hall.dopmap"]
+
+
+Wait = Callable[..., None]
+
+
+def test_snapshots_follow_the_newest_offer(store: Store, wait: Wait) -> None:
+    writer = SnapshotWriter(store, "last", 0.05)
+
+    def numbered(stamp: int) -> Saved:
+        return replace(SESSION.snapshot(), stamp_ns=stamp)
+
+    for stamp in range(200):
+        writer.offer(numbered(stamp))
+        time.sleep(0.001)
+    path = store.path("last", SNAPSHOT)
+    wait(lambda: path.exists() and read_saved(path).stamp_ns == 199)
+    assert 1 < writer.written < 100, "one per period, not one per offer"
+    writer.offer(numbered(200))
+    writer.offer(numbered(201))
+    writer.close()
+    assert read_saved(path).stamp_ns == 201
+
+
+def test_a_disk_that_is_full_for_a_while_is_told_and_survived(
+    store: Store, wait: Wait, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = SnapshotWriter(store, "last", 0.01)
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        writer.offer(SESSION.snapshot())
+        wait(lambda: writer.failed)
+        assert writer.problem is not None and "No space left" in writer.problem
+    writer.offer(SESSION.snapshot())
+    wait(lambda: writer.written)
+    assert writer.problem is None
+    writer.close()
+
+
+def test_two_filters_cannot_write_the_same_snapshot(store: Store) -> None:
+    first = SnapshotWriter(store, "last", 0.1)
+    with pytest.raises(SavedError, match="another filter"):
+        SnapshotWriter(store, "last", 0.1)
+    SnapshotWriter(store, "other", 0.1).close()
+    first.close()
+    SnapshotWriter(store, "last", 0.1).close()
