@@ -33,7 +33,12 @@ setup(
     python_requires=">=3.11,<3.13",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
-        NAME: ["py.typed", "simulation/scenes/*.yaml", "lab/published/*.json", "lab/report/assets/*"],
+        NAME: [
+            "py.typed",
+            "simulation/scenes/*.yaml",
+            "lab/published/*.json",
+            "lab/report/assets/*",
+        ],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

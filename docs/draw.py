@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.patches import Arc, Ellipse, FancyBboxPatch
 
-from dopslam_ros.core.models.channel import LandmarkType, incidence_points
+from dopslam_ros.core.models.channel import incidence_points
+from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.lab.figures.style import BOUND, ESTIMATE, RC, TRUTH, plt
 
 GREEN = "#009e73"

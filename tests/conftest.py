@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import dopslam_ros
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter, deserialize
-from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.messages import topics
 from dopslam_ros.simulation.recording import write_simulation
+from dopslam_ros.simulation.scenario import load_scenario
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -44,7 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Compiles before several processes would all do it at once."""
     if getattr(config.option, "numprocesses", None):
         from dopslam_ros.core.pmb import FilterParameters
-        from dopslam_ros.core.session.filtering import BoundsParameters
+        from dopslam_ros.core.settings.bounding import BoundsParameters
         from dopslam_ros.simulation.warmup import warm_up_bounds, warm_up_filter
 
         warm_up_filter(FilterParameters())

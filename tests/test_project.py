@@ -18,13 +18,13 @@ import yaml
 from rosbags.highlevel import AnyReader
 
 import dopslam_ros
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, deserialize
 from dopslam_ros.cli.main import main
 from dopslam_ros.core.settings.model import with_doppler_std
-from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.simulation.matched import nominal_bounds
+from dopslam_ros.messages import topics
 from dopslam_ros.offline.replay import replay
+from dopslam_ros.simulation.matched import nominal_bounds
+from dopslam_ros.simulation.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 NODES = ("simulator", "filter", "bounds", "recorder", "player")

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, deserialize
+from dopslam_ros.messages import topics
 
 ROOT = Path(__file__).resolve().parents[1]
 TOPICS = {topic.name.strip("/"): topic for topic in (*topics.RECORDED, topics.FILTER_EVENTS)}

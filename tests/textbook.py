@@ -19,9 +19,9 @@ from scipy.linalg import block_diag
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
-from dopslam_ros.core.pmb import FilterParameters as Parameters
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
+from dopslam_ros.core.pmb import FilterParameters as Parameters
 
 Array: TypeAlias = np.ndarray
 BS, VA, SP = 0, 1, 2
@@ -75,7 +75,7 @@ class Density:
     snapshots: int = 0
     viewpoints: list[tuple[Array, int]] = field(default_factory=list)
     next_id: int = 1
-    sleepers: list[Sleeper] = field(default_factory=list)
+    inactive_landmarks: list[Sleeper] = field(default_factory=list)
 
 
 @dataclass
@@ -131,7 +131,7 @@ def textbook_step(
 ) -> tuple[Density, list[tuple[tuple[int | None, ...], float]]]:
     """p(s, X | Z_1:k-1) to p(s, X | Z_1:k), with the ids and weights of the associations."""
     paths = read_paths(measurements, par)
-    prior = wake_up(predict(density, spans, par))
+    prior = reactivate(predict(density, spans, par))
     bs = Component(BS, 1.0, np.array(par.bs_position), np.eye(3), slice(0, 0))
     known = [Landmark(0, 1.0, [bs]), *prior.landmarks]
     fits = [[weigh(prior, x, c, paths, speed, par) for c in x.components] for x in known]
@@ -144,7 +144,7 @@ def textbook_step(
     detection = {id(f.component): f.detection for group in fits for f in group}
     posterior = merge(prior, hypotheses, updated, detection, par)
     ids = [(tuple(f and f.landmark.id for f in chosen), weight) for chosen, weight in hypotheses]
-    return fall_asleep(finish(posterior, par), par), ids
+    return deactivate(finish(posterior, par), par), ids
 
 
 # --- models --------------------------------------------------------------------------------------
@@ -635,7 +635,7 @@ def blur(density: Density) -> float:
     return 5.0 * math.sqrt(density.covariance[0, 0] + density.covariance[1, 1])
 
 
-def fall_asleep(density: Density, par: Parameters) -> Density:
+def deactivate(density: Density, par: Parameters) -> Density:
     """Takes SPs out that cannot be detected, with their regression on the VAs that are sure."""
     anchors = [
         (landmark.id, c.at)
@@ -645,7 +645,7 @@ def fall_asleep(density: Density, par: Parameters) -> Density:
     ]
     index = [i for _, at in anchors for i in range(at.start, at.stop)]
     within = density.covariance[np.ix_(index, index)]
-    awake, sleepers = [], list(density.sleepers)
+    active, inactive_landmarks = [], list(density.inactive_landmarks)
     for landmark in density.landmarks:
         component = landmark.components[0]
         at = component.at
@@ -655,14 +655,16 @@ def fall_asleep(density: Density, par: Parameters) -> Density:
         distance = math.hypot(*(x[:2] - density.mean[:2]))
         far = distance > reach + blur(density) + 0.1 * par.sp_field_of_view
         if len(landmark.components) > 1 or component.kind != SP or not far:
-            awake.append(landmark)
+            active.append(landmark)
         elif landmark.existence >= 0.05:
             cross = density.covariance[at, index]
             gain = np.linalg.solve(within, cross.T).T
             then = (density.mean[at], covariance, [number for number, _ in anchors])
             noise = covariance - gain @ cross.T
-            sleepers.append(Sleeper(landmark, reach, x, *then, density.mean[index], gain, noise))
-    return rearrange(replace(density, landmarks=awake, sleepers=sleepers))
+            inactive_landmarks.append(
+                Sleeper(landmark, reach, x, *then, density.mean[index], gain, noise)
+            )
+    return rearrange(replace(density, landmarks=active, inactive_landmarks=inactive_landmarks))
 
 
 def rearrange(density: Density) -> Density:
@@ -678,14 +680,14 @@ def rearrange(density: Density) -> Density:
     return replace(density, mean=mean, covariance=covariance, landmarks=landmarks)
 
 
-def wake_up(density: Density) -> Density:
+def reactivate(density: Density) -> Density:
     """Brings SPs back that may be detected, as the VAs that they hang on have it now."""
     vas = {x.id: c.at for x in density.landmarks for c in x.components if c.kind == VA}
     before = len(density.mean)
-    blocks, sleepers, landmarks = [], [], list(density.landmarks)
-    for sleeper in density.sleepers:
+    blocks, inactive_landmarks, landmarks = [], [], list(density.landmarks)
+    for sleeper in density.inactive_landmarks:
         if math.hypot(*(sleeper.place[:2] - density.mean[:2])) > sleeper.reach + blur(density):
-            sleepers.append(sleeper)
+            inactive_landmarks.append(sleeper)
             continue
         q, noise, follows = sleeper.q, sleeper.covariance, np.zeros((3, before))
         if all(anchor in vas for anchor in sleeper.anchors):
@@ -704,5 +706,9 @@ def wake_up(density: Density) -> Density:
     noise = block_diag(np.zeros((before, before)), *(noise for _, noise, _ in blocks))
     covariance = linear @ density.covariance @ linear.T + noise
     return replace(
-        density, mean=mean, covariance=covariance, landmarks=landmarks, sleepers=sleepers
+        density,
+        mean=mean,
+        covariance=covariance,
+        landmarks=landmarks,
+        inactive_landmarks=inactive_landmarks,
     )

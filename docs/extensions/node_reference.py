@@ -15,9 +15,9 @@ from docutils import nodes
 from docutils.parsers.rst import Directive
 from docutils.statemachine import StringList
 
-from dopslam_ros.messages import topics
 from dopslam_ros.cli.commands.parameters import NODES
 from dopslam_ros.core.settings.parameters import Declaration, declarations
+from dopslam_ros.messages import topics
 
 ROOT = Path(__file__).resolve().parents[2]
 DESCRIPTIONS = {

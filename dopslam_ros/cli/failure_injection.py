@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.cli.options import with_progress, write_json
-from dopslam_ros.system.stopping import Stop, until_stopped
-from dopslam_ros.lab.study.names import TROUBLES
 from dopslam_ros.lab.study.failure_injection import Trial, trial
+from dopslam_ros.lab.study.names import TROUBLES
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.system.stopping import Stop, until_stopped
 
 # A recovery counts when it took no more sets than this.
 IN_TIME = 10

@@ -12,9 +12,24 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, NoReturn, Protocol
 
 from dopslam_ros import __version__
-from dopslam_ros.cli.commands import bench, bounds, compare, demo, figures, parameters, recover, replay, report, saved_map, simulate, study, failure_injection as trouble, watch
-from dopslam_ros.core.settings.parameters import ParameterError
+from dopslam_ros.cli.commands import (
+    bench,
+    bounds,
+    compare,
+    demo,
+    figures,
+    parameters,
+    recover,
+    replay,
+    report,
+    saved_map,
+    simulate,
+    study,
+    watch,
+)
+from dopslam_ros.cli.commands import failure_injection as trouble
 from dopslam_ros.cli.options import UsageError, add_quiet, check_files, nearest_file, silence
+from dopslam_ros.core.settings.parameters import ParameterError
 
 
 class Command(Protocol):

@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 import yaml
 
 from dopslam_ros.core.settings.parameters import ParameterError, checked_values, parse_assignment
-from dopslam_ros.system.files import json_text
 from dopslam_ros.simulation.scenes import builtin_scenarios
+from dopslam_ros.system.files import json_text
 
 T = TypeVar("T")
 

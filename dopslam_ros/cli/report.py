@@ -7,19 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from dopslam_ros.bag import BagReader
-from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.simulation.warmup import warm_up_filter
-from dopslam_ros.system.files import write_whole
 from dopslam_ros.cli.options import read_settings, with_progress, write_json
-from dopslam_ros.offline.replay import replay
+from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.lab.report.cases import parse_case, run_cases
 from dopslam_ros.lab.report.compare_page import compare_page, comparison_cells, remarks
 from dopslam_ros.lab.report.comparison import compare as compare_cases
 from dopslam_ros.lab.report.page import plotting_library
 from dopslam_ros.lab.report.recorded import last_reports
 from dopslam_ros.lab.report.run_page import run_page
-from dopslam_ros.system.stopping import Stop
 from dopslam_ros.lab.study.table import aligned
+from dopslam_ros.offline.replay import replay
+from dopslam_ros.simulation.warmup import warm_up_filter
+from dopslam_ros.system.files import write_whole
+from dopslam_ros.system.stopping import Stop
 
 
 def report(options: Any) -> int:

@@ -6,27 +6,27 @@ from typing import Any
 
 import numpy as np
 
-from dopslam_ros.core.models.channel import LandmarkType
+from dopslam_ros.cli.options import write_json
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.pmb.estimates import reported_landmarks
-from dopslam_ros.core.settings.parameters import ParameterError, declarations, from_mapping
-from dopslam_ros.core.session.checkpoint import BEFORE_ALL, SNAPSHOT, Saved
+from dopslam_ros.core.session.checkpoint import BEFORE_ALL, SNAPSHOT, Checkpoint
 from dopslam_ros.core.session.checkpoint_file import VERSION
-from dopslam_ros.cli.options import write_json
+from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.core.settings.parameters import ParameterError, declarations, from_mapping
 from dopslam_ros.system.stopping import Stop
-from dopslam_ros.system.storage import read_saved
+from dopslam_ros.system.storage import read_checkpoint
 
 
 def run(options: Any) -> int:
     """The command."""
     with Stop():
-        about = describe(read_saved(options.file.resolve()))
+        about = describe(read_checkpoint(options.file.resolve()))
     write_json(options.json, about)
     _print(about)
     return 0
 
 
-def describe(saved: Saved) -> dict[str, Any]:
+def describe(saved: Checkpoint) -> dict[str, Any]:
     """Facts for JSON: what it is, of which filter, and its landmarks with their covariances."""
     best, parameters = saved.mixture.best, _parameters(saved)
     everything = reported_landmarks(best, parameters)
@@ -51,7 +51,7 @@ def describe(saved: Saved) -> dict[str, Any]:
         "checksum": "ok",
         "stamp_ns": None if saved.stamp_ns == BEFORE_ALL else saved.stamp_ns,
         "tracks": len(best.all_track_ids),
-        "tracks_out_of_view": len(best.asleep),
+        "tracks_out_of_view": len(best.inactive),
         "hypotheses": len(saved.mixture.hypotheses),
         "parameters": dict(saved.parameters),
         "landmarks": landmarks,
@@ -83,7 +83,7 @@ def _print(about: dict[str, Any]) -> None:
         print(f"{one['id']:5} {one['type']:4} {one['existence']:7.4f} {place} {spread}")
 
 
-def _parameters(saved: Saved) -> FilterParameters:
+def _parameters(saved: Checkpoint) -> FilterParameters:
     """Those of the filter that saved, as far as this version knows them."""
     known = {d.name for d in declarations(FilterParameters)}
     values = {name: value for name, value in saved.parameters.items() if name in known}

@@ -9,9 +9,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dopslam_ros.core.models.channel import DOPPLER
-from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.cli.options import UsageError, read_settings, with_progress, write_json
+from dopslam_ros.core.settings.layout import DOPPLER
 from dopslam_ros.lab.study.executors import blas_is_limited, run_local, run_on_dask
 from dopslam_ros.lab.study.folder import open_folder
 from dopslam_ros.lab.study.outputs import FAILURES, timing, write_failures, write_outputs
@@ -20,6 +19,7 @@ from dopslam_ros.lab.study.results import Collection
 from dopslam_ros.lab.study.run import Outcome
 from dopslam_ros.lab.study.summary import summarise_study
 from dopslam_ros.lab.study.table import study_table
+from dopslam_ros.simulation.scenario import load_scenario
 
 # Failures told one by one; the rest is in the folder.
 MOST_TOLD = 5

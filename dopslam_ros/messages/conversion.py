@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagTypeError, deserialize, record_type
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.models.channel import COMPONENTS, DIM, LandmarkType
-from dopslam_ros.core.pmb import LandmarkEstimates
 from dopslam_ros.core.models.measurements import MOST_PATHS, MeasurementSet, checked_measurements
 from dopslam_ros.core.models.motion import Control
 from dopslam_ros.core.models.refusal import Refused
-from dopslam_ros.core.session.filtering import BoundsOutput, WorldState
+from dopslam_ros.core.pmb import LandmarkEstimates
+from dopslam_ros.core.session.bounding import BoundsOutput, WorldState
+from dopslam_ros.core.settings.layout import COMPONENTS, DIM, LandmarkType
+from dopslam_ros.messages import topics
 
 Types = Callable[[str], Any]
 _components = attrgetter(*COMPONENTS)

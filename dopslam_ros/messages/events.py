@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader
-from dopslam_ros.core.session.events import KINDS, RESUME, Event
-from dopslam_ros.core.session.checkpoint import BEFORE_ALL, SavedError
+from dopslam_ros.core.session.checkpoint import BEFORE_ALL, CheckpointError
 from dopslam_ros.core.session.checkpoint_file import decode, to_bytes
+from dopslam_ros.core.session.events import KINDS, RESUME, Event
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import InvalidMessage, Types, make_time, read_message
 
 
@@ -32,7 +32,7 @@ def read_event(message: Any) -> Event:
 
     Raises:
         InvalidMessage: its kind is unknown.
-        SavedError: what was loaded cannot be read.
+        CheckpointError: what was loaded cannot be read.
     """
     if message.kind not in KINDS:
         raise InvalidMessage("unknown_event", f"'{message.kind}' is none of {', '.join(KINDS)}")
@@ -60,7 +60,7 @@ def recorded_events(reader: BagReader, prefix: str, problems: Counter[str]) -> l
     for message in reader.messages({name}):
         try:
             events.append(read_event(read_message(message.payload, topics.FILTER_EVENTS)))
-        except (SavedError, InvalidMessage):
+        except (CheckpointError, InvalidMessage):
             problems["event_refused"] += 1
     if not any(event.kind == RESUME for event in events):
         return events

@@ -9,14 +9,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dopslam_ros.messages import topics
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.core.pmb import LandmarkEstimates
-from dopslam_ros.core.settings.parameters import parameter
 from dopslam_ros.core.linalg.quantiles import chi_square
+from dopslam_ros.core.pmb import LandmarkEstimates
 from dopslam_ros.core.session.filtering import FilterOutput
-from dopslam_ros.messages.conversion import BS_ID, Frames, Types, make_header, make_map, make_point, make_quaternion, make_twist, make_ue_state, make_vector
+from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.core.settings.parameters import parameter
+from dopslam_ros.messages import topics
+from dopslam_ros.messages.conversion import (
+    BS_ID,
+    Frames,
+    Types,
+    make_header,
+    make_map,
+    make_point,
+    make_quaternion,
+    make_twist,
+    make_ue_state,
+    make_vector,
+)
 
 # The ellipsoids that are drawn hold the landmark with this probability.
 ELLIPSOID_PROBABILITY = 0.95

@@ -6,14 +6,23 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import message_class
 from dopslam_ros.core.linalg.arrays import FloatArray
+from dopslam_ros.core.session.bounding import BoundsOutput, BoundsSession
+from dopslam_ros.core.settings.bounding import BoundsParameters
 from dopslam_ros.core.settings.parameters import parameter
-from dopslam_ros.core.session.filtering import BoundsOutput, BoundsParameters, BoundsSession
-from dopslam_ros.simulation.warmup import warm_up_bounds
-from dopslam_ros.messages.conversion import Frames, MapArrays, make_bounds, read_control, read_map, read_ue_state, stamp_ns
+from dopslam_ros.messages import topics
+from dopslam_ros.messages.conversion import (
+    Frames,
+    MapArrays,
+    make_bounds,
+    read_control,
+    read_map,
+    read_ue_state,
+    stamp_ns,
+)
 from dopslam_ros.nodes.runtime import DopslamNode, serve
+from dopslam_ros.simulation.warmup import warm_up_bounds
 
 # States and maps that wait for their counterpart; beyond this the oldest are given up.
 MOST_WAITING = 1000

@@ -8,19 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import message_class
-from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.core.monitoring.health import Level
-from dopslam_ros.core.settings.parameters import commented_yaml, parameter
 from dopslam_ros.core.models.refusal import Refused
+from dopslam_ros.core.monitoring.health import Level
+from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
-from dopslam_ros.simulation.warmup import warm_up_filter
+from dopslam_ros.core.settings.parameters import commented_yaml, parameter
+from dopslam_ros.messages import topics
+from dopslam_ros.messages.conversion import (
+    Frames,
+    make_text,
+    read_control,
+    read_measurements,
+    stamp_ns,
+)
 from dopslam_ros.messages.filter_output import DrawingParameters, FilterMessages
-from dopslam_ros.messages.conversion import Frames, make_text, read_control, read_measurements, stamp_ns
+from dopslam_ros.nodes.filter_control import Steering
 from dopslam_ros.nodes.inbox import Inbox
 from dopslam_ros.nodes.runtime import DopslamNode, serve
-from dopslam_ros.nodes.filter_control import Steering
+from dopslam_ros.simulation.warmup import warm_up_filter
 from dopslam_ros.system.storage import StorageParameters
 
 

@@ -10,12 +10,12 @@ from typing import Any
 from dopslam_msgs.srv import LoadMap, SaveMap
 from std_srvs.srv import SetBool, Trigger
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import message_class
-from dopslam_ros.core.session.events import Event
 from dopslam_ros.core.models.refusal import Refused
-from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, SavedError
+from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, CheckpointError
+from dopslam_ros.core.session.events import Event
 from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.events import make_event
 from dopslam_ros.nodes.runtime import DopslamNode, StartError
 from dopslam_ros.system.storage import SnapshotWriter, StorageParameters, Store
@@ -43,7 +43,7 @@ class Steering:
             self._writer = self._start_writer()
             if settings.map:
                 self._load(settings.map)
-        except SavedError as error:
+        except CheckpointError as error:
             raise StartError(str(error)) from error
         if settings.resume:
             self._resume()
@@ -85,7 +85,9 @@ class Steering:
         name = self._settings.snapshot
         if not name:
             if self._settings.resume:
-                raise SavedError("parameter 'resume' is true: give the name of a 'snapshot' too")
+                raise CheckpointError(
+                    "parameter 'resume' is true: give the name of a 'snapshot' too"
+                )
             return None
         # Who wants to run while the snapshot is put together waits for so long at most [s].
         sys.setswitchinterval(min(sys.getswitchinterval(), 5e-4))
@@ -100,13 +102,13 @@ class Steering:
         try:
             age = time.time() - path.stat().st_mtime
             if age > self._settings.resume_age:
-                raise SavedError(
+                raise CheckpointError(
                     f"'{path}' was written {age:.0f} s ago, more than the"
                     f" {self._settings.resume_age:g} s of parameter 'resume_age'"
                 )
             saved = self._store.read(self._settings.snapshot, SNAPSHOT)
             self._tell(self._session.restore(saved))
-        except (SavedError, OSError) as error:
+        except (CheckpointError, OSError) as error:
             self._node.refuse("resume", Refused("resume_failed", f"{error}; starting anew"))
             return
         log.info(f"going on from '{path}', written {age:.1f} s ago")

@@ -40,7 +40,7 @@ class Inbox:
 
     The oldest are dropped: what comes last says most about the present. That goes for every topic:
     one that nobody limits would take all of the node's time from the others. All that has come is
-    taken at once, because being woken costs more than most messages do.
+    taken at once, because being reactivated costs more than most messages do.
 
     Args:
         node: whose messages they are.

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dopslam_ros.core.settings.parameters import to_mapping, unknown_name
-from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.matched import bounds_parameters_for, filter_parameters_for
+from dopslam_ros.simulation.scenario import load_scenario
 
 INPUTS = ("simulator", "bag", "none")
 

@@ -10,11 +10,18 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagError, BagMessage, BagReader, Durability, TopicInfo
 from dopslam_ros.core.settings.parameters import parameter
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import make_time
-from dopslam_ros.nodes.runtime import STEADY, DopslamNode, StartError, middleware_class, qos_profile, serve
+from dopslam_ros.nodes.runtime import (
+    STEADY,
+    DopslamNode,
+    StartError,
+    middleware_class,
+    qos_profile,
+    serve,
+)
 
 TICK = 0.005
 # Messages in a tick at most: readers with queues of finite depth must keep up.

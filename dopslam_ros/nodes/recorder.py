@@ -11,13 +11,24 @@ from typing import Any
 from rclpy.exceptions import NameValidationException
 from rclpy.qos import QoSProfile
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagError, BagWriteError, BagWriter
 from dopslam_ros.bag.qos import from_profile
-from dopslam_ros.core.settings.parameters import parameter
 from dopslam_ros.core.models.refusal import Refused
+from dopslam_ros.core.settings.parameters import parameter
+from dopslam_ros.messages import topics
 from dopslam_ros.nodes.inbox import Inbox
-from dopslam_ros.nodes.runtime import LOST, STEADY, DopslamNode, RCLError, StartError, middleware_class, names, qos_profile, reading_profile, serve
+from dopslam_ros.nodes.runtime import (
+    LOST,
+    STEADY,
+    DopslamNode,
+    RCLError,
+    StartError,
+    middleware_class,
+    names,
+    qos_profile,
+    reading_profile,
+    serve,
+)
 
 FLUSH_PERIOD = 0.5
 DISCOVERY_PERIOD = 0.5

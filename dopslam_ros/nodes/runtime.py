@@ -36,11 +36,17 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import message_class, serialize
 from dopslam_ros.bag.qos import OfferedQos
-from dopslam_ros.core.settings.parameters import Declaration, ParameterError, declarations, from_mapping, to_mapping
 from dopslam_ros.core.models.refusal import Refused
+from dopslam_ros.core.settings.parameters import (
+    Declaration,
+    ParameterError,
+    declarations,
+    from_mapping,
+    to_mapping,
+)
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import make_diagnostics, read_message
 from dopslam_ros.nodes.inbox import Inbox
 from dopslam_ros.nodes.losses import Losses

@@ -10,13 +10,13 @@ import numpy as np
 from rclpy.duration import Duration
 from rclpy.timer import Timer
 
-from dopslam_ros.messages import topics
 from dopslam_ros.core.settings.parameters import parameter
-from dopslam_ros.simulation.scenario import START_NS, ScenarioError, load_scenario
-from dopslam_ros.simulation.simulator import simulate
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import Frames
 from dopslam_ros.nodes.runtime import DopslamNode, StartError, serve
 from dopslam_ros.simulation.recording import Message, map_message, snapshot_messages
+from dopslam_ros.simulation.scenario import START_NS, ScenarioError, load_scenario
+from dopslam_ros.simulation.simulator import simulate
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.pcrb.bounds import Bounds
-from dopslam_ros.core.models.channel import LandmarkType
 from dopslam_ros.core.pmb import LandmarkEstimates
+from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.offline.metrics import Gospa, gospa, nees, rmse, state_errors
 
 

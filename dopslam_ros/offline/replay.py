@@ -9,23 +9,35 @@ from typing import Any
 
 import yaml
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagMessage, BagReader, BagWriter, message_class, serialize
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.pcrb.bounds import Bounds
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.offline.evaluation import StepRecord, judge_step, summarise
-from dopslam_ros.core.session.events import LOAD_MAP, Event
-from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.core.settings.parameters import declarations, from_mapping
 from dopslam_ros.core.models.refusal import Refused
-from dopslam_ros.core.session.checkpoint import BEFORE_ALL, Saved, SavedError
-from dopslam_ros.core.session.filtering import BoundsOutput, BoundsSession, FilterOutput, FilterSession, WorldState
-from dopslam_ros.simulation.matched import bounds_parameters_for
+from dopslam_ros.core.pcrb.bounds import Bounds
+from dopslam_ros.core.pmb import FilterParameters
+from dopslam_ros.core.session.bounding import BoundsOutput, BoundsSession, WorldState
+from dopslam_ros.core.session.checkpoint import BEFORE_ALL, Checkpoint, CheckpointError
+from dopslam_ros.core.session.events import LOAD_MAP, Event
+from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
+from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.core.settings.parameters import declarations, from_mapping
+from dopslam_ros.messages import topics
+from dopslam_ros.messages.conversion import (
+    Frames,
+    MapArrays,
+    make_bounds,
+    make_text,
+    read_control,
+    read_map,
+    read_measurements,
+    read_message,
+    read_ue_state,
+    stamp_ns,
+)
 from dopslam_ros.messages.events import make_event, recorded_events
 from dopslam_ros.messages.filter_output import DrawingParameters, FilterMessages
-from dopslam_ros.messages.conversion import Frames, MapArrays, make_bounds, make_text, read_control, read_map, read_measurements, read_message, read_ue_state, stamp_ns
+from dopslam_ros.offline.evaluation import StepRecord, judge_step, summarise
 from dopslam_ros.offline.replay_inputs import recorded_settings, vehicle_prefix
+from dopslam_ros.simulation.matched import bounds_parameters_for
 from dopslam_ros.system.stopping import until_stopped
 
 
@@ -51,7 +63,7 @@ class Replay:
     true_map: MapArrays | None = None
     problems: Counter[str] = field(default_factory=Counter)
     damage: str | None = None
-    known_map: Saved | None = None
+    known_map: Checkpoint | None = None
 
     def records(self) -> list[StepRecord]:
         """Each step judged against the truth, as far as the bag has it."""
@@ -92,7 +104,7 @@ def replay(
     overrides: Mapping[str, object] | None = None,
     writer: BagWriter | None = None,
     progress: Callable[[Iterable[BagMessage]], Iterable[BagMessage]] = iter,
-    start_map: Saved | None = None,
+    start_map: Checkpoint | None = None,
 ) -> Replay:
     """Runs the filter and the bounds over the inputs in a bag.
 
@@ -114,7 +126,7 @@ def replay(
         ReplayError: the bag has no measurement sets, topics of another type, several vehicles, or
             the settings of several filters that differ.
         ParameterError: a parameter is unknown or its value unusable.
-        SavedError: the map does not go with the parameters.
+        CheckpointError: the map does not go with the parameters.
         BagError: the bag cannot be read or written.
     """
     prefix = vehicle_prefix(reader)
@@ -197,7 +209,7 @@ class _Run:
         except (ValueError, OverflowError, ArithmeticError) as error:
             self.result.problems[type(error).__name__] += 1
 
-    def schedule(self, events: Sequence[Event], start_map: Saved | None) -> None:
+    def schedule(self, events: Sequence[Event], start_map: Checkpoint | None) -> None:
         """What is to be done to the filter; an event that cannot be done again is counted."""
         if self._writer is not None and (events or start_map is not None):
             topic = topics.FILTER_EVENTS
@@ -208,7 +220,7 @@ class _Run:
         for event in events:
             try:
                 self._happen(event)
-            except SavedError:
+            except CheckpointError:
                 self.result.problems["event_refused"] += 1
 
     def _happen(self, event: Event) -> None:

@@ -7,10 +7,10 @@ from typing import Any
 
 import yaml
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, deserialize, type_hash
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.settings.parameters import declarations
+from dopslam_ros.messages import topics
 
 _READ = (*topics.INPUTS, topics.FILTER_PARAMETERS)
 

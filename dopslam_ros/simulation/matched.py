@@ -6,9 +6,10 @@ import numpy as np
 
 from dopslam_ros.core.pcrb.bounds import Bounds
 from dopslam_ros.core.pmb import FilterParameters
+from dopslam_ros.core.session.bounding import BoundsOutput, BoundsSession, WorldState
+from dopslam_ros.core.settings.bounding import BoundsParameters
 from dopslam_ros.core.settings.parameters import shared_values
 from dopslam_ros.simulation.scenario import Scenario
-from dopslam_ros.core.session.filtering import BoundsOutput, BoundsParameters, BoundsSession, WorldState
 from dopslam_ros.simulation.simulator import all_landmarks, nominal_trajectory, visible
 
 

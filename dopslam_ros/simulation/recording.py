@@ -7,13 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagWriter, message_class, serialize
 from dopslam_ros.core.settings.parameters import commented_yaml
+from dopslam_ros.messages import topics
+from dopslam_ros.messages.conversion import (
+    Frames,
+    make_control,
+    make_map,
+    make_measurements,
+    make_text,
+    make_ue_state,
+    true_landmarks,
+)
+from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario
 from dopslam_ros.simulation.simulator import Snapshot, simulate
-from dopslam_ros.simulation.matched import filter_parameters_for
-from dopslam_ros.messages.conversion import Frames, make_control, make_map, make_measurements, make_text, make_ue_state, true_landmarks
 from dopslam_ros.system.stopping import until_stopped
 
 Message = tuple[topics.Topic, Any]

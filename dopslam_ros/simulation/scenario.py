@@ -12,10 +12,16 @@ import numpy as np
 import yaml
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.core.settings.model import ModelParameters
 from dopslam_ros.core.models.motion import Control
-from dopslam_ros.core.settings.parameters import ParameterError, from_mapping, parameter, to_mapping, unknown_name
+from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.core.settings.model import ModelParameters
+from dopslam_ros.core.settings.parameters import (
+    ParameterError,
+    from_mapping,
+    parameter,
+    to_mapping,
+    unknown_name,
+)
 from dopslam_ros.simulation.scenes import builtin_scenarios, builtin_text
 
 # The first snapshot of a simulation; not zero, because zero means "no time" in ROS.

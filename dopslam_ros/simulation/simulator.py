@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray, wrap_angle
-from dopslam_ros.core.models.channel import AZIMUTHS, DIM, LandmarkType, observe
+from dopslam_ros.core.models.channel import observe
+from dopslam_ros.core.models.detection import detection_probabilities
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.settings.model import clutter_box, detection_probabilities
 from dopslam_ros.core.models.motion import Control, propagate
+from dopslam_ros.core.settings.layout import AZIMUTHS, DIM, LandmarkType
+from dopslam_ros.core.settings.model import clutter_box
 from dopslam_ros.simulation.scenario import Scenario
 
 CLUTTER = -1

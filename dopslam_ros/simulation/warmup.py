@@ -15,21 +15,31 @@ from dataclasses import replace
 
 import numpy as np
 
-from dopslam_ros.core.models.channel import DIM, LandmarkType
-from dopslam_ros.core.pmb import FilterParameters, initial_filter_state
-from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.state import UE
-from dopslam_ros.core.pmb import inactive_kernels as asleep, coordinates_kernels as placement
 from dopslam_ros.core.linalg.jit import cache_folder
-from dopslam_ros.core.pmb.records import Births, Evidence, Hypotheses, LocalWeights, Newborn, Ranked, Regressions
-from dopslam_ros.core.pmb.step_kernels import conclude, continued, learn
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.settings.model import ModelParameters
 from dopslam_ros.core.models.motion import Control
-from dopslam_ros.core.settings.parameters import shared_values
 from dopslam_ros.core.monitoring.pose_search import Clock, solutions
+from dopslam_ros.core.pmb import FilterParameters, initial_filter_state
+from dopslam_ros.core.pmb import coordinates_kernels as placement
+from dopslam_ros.core.pmb import inactive_kernels as inactive
+from dopslam_ros.core.pmb.observed import prepare
+from dopslam_ros.core.pmb.records import (
+    Births,
+    Hypotheses,
+    Likelihoods,
+    LocalWeights,
+    Newborn,
+    Ranked,
+    Regressions,
+)
+from dopslam_ros.core.pmb.step_kernels import conclude, continued, learn
+from dopslam_ros.core.session.bounding import BoundsSession, WorldState
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.settings.bounding import BoundsParameters
+from dopslam_ros.core.settings.layout import DIM, UE, LandmarkType
+from dopslam_ros.core.settings.model import ModelParameters
+from dopslam_ros.core.settings.parameters import shared_values
 from dopslam_ros.simulation.scenario import Scenario
-from dopslam_ros.core.session.filtering import BoundsParameters, BoundsSession, FilterSession, WorldState
 from dopslam_ros.simulation.simulator import Snapshot, all_landmarks, simulate
 
 STEPS = 4
@@ -65,12 +75,12 @@ def touch_the_rest() -> None:
     observed, ranked = prepare(nothing, parameters), _nothing_heard()
     updated = continued(state.density, ranked, ranked.born.kept, observed, constants)
     conclude(ranked.hypotheses.weight, updated, constants)
-    asleep.left_behind(state.density, constants.sight)
-    asleep.near(np.zeros((0, 3)), np.zeros(0), state.ue_mean[:2], 0.0)
+    inactive.left_behind(state.density, constants.sight)
+    inactive.near(np.zeros((0, 3)), np.zeros(0), state.ue_mean[:2], 0.0)
     none, nobody = np.zeros((0, 3)), np.zeros((0, 3, 3))
     hanging = Regressions(np.zeros((0, 1), np.int64), none, nobody, none, nobody, nobody)
-    asleep.woken(state.density, hanging)
-    asleep.as_of_now(state.density, hanging)
+    inactive.reactivated(state.density, hanging)
+    inactive.as_of_now(state.density, hanging)
     placement.in_space(none, nobody, none, nobody)
     solutions(state, observed, 0.0, Clock(0.0, 1.0), parameters)
 
@@ -104,7 +114,7 @@ def _nothing_heard() -> Ranked:
     """The associations of a set without paths."""
     none, nobody = np.zeros((1, 0)), np.zeros((1, 0), np.int64)
     return Ranked(
-        Evidence(
+        Likelihoods(
             np.zeros((1, DIM, UE)),
             np.zeros((1, DIM, 3)),
             np.zeros(1),

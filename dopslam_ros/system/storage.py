@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from dopslam_ros.core.settings.parameters import parameter
-from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, Saved, SavedError
+from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_file import MOST_BYTES, decode, encode
+from dopslam_ros.core.settings.parameters import parameter
 from dopslam_ros.system.files import read_bounded, write_whole
 
 SUFFIXES = {MAP: ".dopmap", SNAPSHOT: ".dopstate"}
@@ -48,21 +48,21 @@ class StorageParameters:
     )
 
 
-def read_saved(path: Path) -> Saved:
+def read_checkpoint(path: Path) -> Checkpoint:
     """A map or a snapshot from a file.
 
     Raises:
-        SavedError: there is no such file, or it cannot be used; the message names it.
+        CheckpointError: there is no such file, or it cannot be used; the message names it.
     """
     try:
         return decode(read_bounded(path, MOST_BYTES))
     except OSError as error:
-        raise SavedError(f"'{path}' cannot be read: {error.strerror}") from error
-    except SavedError as error:
-        raise SavedError(f"'{path}' cannot be used: {error}") from error
+        raise CheckpointError(f"'{path}' cannot be read: {error.strerror}") from error
+    except CheckpointError as error:
+        raise CheckpointError(f"'{path}' cannot be used: {error}") from error
 
 
-def write_saved(path: Path, saved: Saved) -> None:
+def write_checkpoint(path: Path, saved: Checkpoint) -> None:
     """Writes a map or a snapshot; raises OSError."""
     write_whole(path, *encode(saved), lasting=True)
 
@@ -82,45 +82,45 @@ class Store:
         """Its absolute path.
 
         Raises:
-            SavedError: the user has no home.
+            CheckpointError: the user has no home.
         """
         try:
             return Path(self._given).expanduser().absolute()
         except RuntimeError as error:
-            raise SavedError(f"parameter 'map_directory' = {self._given}: {error}") from error
+            raise CheckpointError(f"parameter 'map_directory' = {self._given}: {error}") from error
 
     def path(self, name: str, kind: str) -> Path:
         """Where the map or snapshot of a name is.
 
         Raises:
-            SavedError: the name could lead out of the folder, or is none.
+            CheckpointError: the name could lead out of the folder, or is none.
         """
         suffix = SUFFIXES[kind]
         plain = name.removesuffix(suffix)
         if not _NAME.fullmatch(plain):
-            raise SavedError(
+            raise CheckpointError(
                 f"'{name[:100]}' is no name of a {kind}: give letters, digits, '_', '-' and '.'"
                 f" only, no folder; it is a file in '{self.folder}'"
             )
         return self.folder / (plain + suffix)
 
-    def write(self, name: str, saved: Saved) -> Path:
+    def write(self, name: str, saved: Checkpoint) -> Path:
         """Saves under a name, in the place of what had that name.
 
         Raises:
-            SavedError: the name is unusable, or the file cannot be written.
+            CheckpointError: the name is unusable, or the file cannot be written.
         """
         path = self.path(name, saved.kind)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_saved(path, saved)
+            write_checkpoint(path, saved)
         except OSError as error:
-            raise SavedError(f"'{path}' cannot be written: {error.strerror}") from error
+            raise CheckpointError(f"'{path}' cannot be written: {error.strerror}") from error
         return path
 
-    def read(self, name: str, kind: str) -> Saved:
-        """What is saved under a name; raises SavedError."""
-        return read_saved(self.path(name, kind))
+    def read(self, name: str, kind: str) -> Checkpoint:
+        """What is saved under a name; raises CheckpointError."""
+        return read_checkpoint(self.path(name, kind))
 
 
 class SnapshotWriter:
@@ -140,7 +140,7 @@ class SnapshotWriter:
         written_at: steady time of the last one [s].
 
     Raises:
-        SavedError: the name is unusable, in use, or its folder cannot be made.
+        CheckpointError: the name is unusable, in use, or its folder cannot be made.
     """
 
     def __init__(self, store: Store, name: str, period: float) -> None:
@@ -150,12 +150,12 @@ class SnapshotWriter:
         self.written_at: float | None = None
         self._lock = self._locked(store.path(name, SNAPSHOT))
         self._changed = threading.Condition()
-        self._next: Saved | None = None
+        self._next: Checkpoint | None = None
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="snapshots", daemon=True)
         self._thread.start()
 
-    def offer(self, saved: Saved) -> None:
+    def offer(self, saved: Checkpoint) -> None:
         """The newest state; one that was not written yet is forgotten."""
         with self._changed:
             self._next = saved
@@ -196,12 +196,12 @@ class SnapshotWriter:
             flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
             descriptor = os.open(lock, flags, 0o666)
         except OSError as error:
-            raise SavedError(f"'{lock}' cannot be made: {error.strerror}") from error
+            raise CheckpointError(f"'{lock}' cannot be made: {error.strerror}") from error
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(descriptor)
-            raise SavedError(
+            raise CheckpointError(
                 f"another filter writes the snapshot '{path}': give each one a name of its own"
             ) from error
         return descriptor

@@ -7,7 +7,18 @@ import rclpy.qos
 from rclpy.duration import Duration, Infinite
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from dopslam_ros.bag import INFINITE_NS, BagFormatError, Durability, History, Liveliness, OfferedQos, Reliability, from_profile, from_yaml, to_yaml
+from dopslam_ros.bag import (
+    INFINITE_NS,
+    BagFormatError,
+    Durability,
+    History,
+    Liveliness,
+    OfferedQos,
+    Reliability,
+    from_profile,
+    from_yaml,
+    to_yaml,
+)
 
 DISCOVERED = """\
 - history: unknown

@@ -23,7 +23,16 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from dopslam_ros.bag import BagError, BagFormatError, BagReader, BagWriter, Reliability, definition, type_hash, typestore
+from dopslam_ros.bag import (
+    BagError,
+    BagFormatError,
+    BagReader,
+    BagWriter,
+    Reliability,
+    definition,
+    type_hash,
+    typestore,
+)
 
 UE_STATE = "dopslam_msgs/msg/UeState"
 

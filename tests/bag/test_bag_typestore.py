@@ -16,7 +16,16 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from dopslam_ros.bag import BagTypeError, canonical, definition, deserialize, message_class, serialize, type_hash, typestore
+from dopslam_ros.bag import (
+    BagTypeError,
+    canonical,
+    definition,
+    deserialize,
+    message_class,
+    serialize,
+    type_hash,
+    typestore,
+)
 
 module = sys.modules["dopslam_ros.bag.typestore"]  # the function of that name hides it
 

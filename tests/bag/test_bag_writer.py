@@ -21,7 +21,19 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 import dopslam_ros
-from dopslam_ros.bag import BagError, BagExistsError, BagReader, BagTypeError, BagWriteError, BagWriter, Durability, OfferedQos, definition, to_yaml, type_hash
+from dopslam_ros.bag import (
+    BagError,
+    BagExistsError,
+    BagReader,
+    BagTypeError,
+    BagWriteError,
+    BagWriter,
+    Durability,
+    OfferedQos,
+    definition,
+    to_yaml,
+    type_hash,
+)
 
 UE_STATE = "dopslam_msgs/msg/UeState"
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.cli.main import COMMANDS, main
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.settings.parameters import to_mapping
 from dopslam_ros.lab.published import published
+from dopslam_ros.messages import topics
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Processes

@@ -11,9 +11,9 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.cli import demo
 from dopslam_ros.messages import topics
-from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.simulation.scenario import load_scenario
 
 if TYPE_CHECKING:

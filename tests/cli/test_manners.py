@@ -14,15 +14,15 @@ from typing import Any
 
 import pytest
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader
+from dopslam_ros.cli.main import COMMANDS, TALKERS, _parser, main
 from dopslam_ros.lab.bench.suite import BENCHMARKS
 from dopslam_ros.lab.bench.titles import TITLES
-from dopslam_ros.cli.main import COMMANDS, TALKERS, _parser, main
-from dopslam_ros.simulation.scenes import builtin_scenarios
-from dopslam_ros.system.stopping import Stop, until_stopped
 from dopslam_ros.lab.study.estimators import KINDS
 from dopslam_ros.lab.study.names import FILTERS
+from dopslam_ros.messages import topics
+from dopslam_ros.simulation.scenes import builtin_scenarios
+from dopslam_ros.system.stopping import Stop, until_stopped
 
 pytestmark = pytest.mark.once
 Capture = pytest.CaptureFixture[str]

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader
 from dopslam_ros.cli.main import main
 from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.messages import topics
+from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import all_landmarks
-from dopslam_ros.system.storage import read_saved, write_saved
+from dopslam_ros.system.storage import read_checkpoint, write_checkpoint
 
 PAPER = Path(__file__).resolve().parents[1] / "bags" / "paper"
 
@@ -64,7 +64,7 @@ def test_a_snapshot_is_described_with_its_vehicle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "last.dopstate"
-    write_saved(path, FilterSession(FilterParameters()).snapshot())
+    write_checkpoint(path, FilterSession(FilterParameters()).snapshot())
     assert main(["map", str(path)]) == 0
     printed = capsys.readouterr().out
     assert "snapshot before the first set" in printed
@@ -93,4 +93,4 @@ def test_a_map_of_another_base_station_is_told(
     other = ["--param", "bs_position=[0.0, 0.0, 30.0]", "--map", str(hall)]
     assert main(["replay", str(PAPER), *other]) == 1
     assert "bs_position" in capsys.readouterr().err
-    assert read_saved(hall).kind == "map"
+    assert read_checkpoint(hall).kind == "map"

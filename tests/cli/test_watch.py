@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rich.console import Console
 
-from dopslam_ros.messages import topics
-from dopslam_ros.cli import watch
 from dopslam_ros.bag import BagReader, BagWriter, deserialize, message_class, serialize
+from dopslam_ros.cli import watch
 from dopslam_ros.cli.main import main
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import make_diagnostics
 
 if TYPE_CHECKING:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from dopslam_ros.messages import topics
 from dopslam_ros.cli.commands.parameters import NODES
-from dopslam_ros.core.monitoring import health, recovery, pose_search as relocalise
+from dopslam_ros.core.monitoring import health, recovery
+from dopslam_ros.core.monitoring import pose_search as relocalise
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.settings.parameters import declarations
+from dopslam_ros.messages import topics
 
 if TYPE_CHECKING:
     from tests.conftest import Ros
@@ -106,7 +107,7 @@ def test_what_is_said_of_health_is_what_the_code_does() -> None:
     page = (DOCS / "using.rst").read_text("utf-8")
     section = page.partition("Whether to believe it")[2].partition("Maps that are kept")[0]
     for text in (
-        f"``doubt`` reached {health.DOUBT_AT:g}:",
+        f"``doubt`` reached {health.WARN_AT:g}:",
         f"``doubt`` reached {health.LOST_AT:g},",
         f"``health_position_std`` ({FilterParameters().health_position_std:g} m)",
         f"``nis_deviations`` is above {health.MORE_THAN_CHANCE:g}",

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, deserialize
+from dopslam_ros.messages import topics
 from dopslam_ros.nodes.filter import FilterNode
 
 if TYPE_CHECKING:

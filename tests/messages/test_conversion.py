@@ -9,16 +9,29 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import deserialize, message_class, serialize
-from dopslam_ros.core.models.channel import DIM, LandmarkType
-from dopslam_ros.core.pmb import Associations, FilterParameters, LandmarkEstimates, initial_mixture
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control
 from dopslam_ros.core.models.refusal import Refused
+from dopslam_ros.core.pmb import Associations, FilterParameters, LandmarkEstimates, initial_mixture
 from dopslam_ros.core.session.filtering import FilterOutput
+from dopslam_ros.core.settings.layout import DIM, LandmarkType
+from dopslam_ros.messages import topics
+from dopslam_ros.messages.conversion import (
+    Frames,
+    make_control,
+    make_header,
+    make_map,
+    make_measurements,
+    make_ue_state,
+    read_control,
+    read_map,
+    read_measurements,
+    read_message,
+    read_ue_state,
+    stamp_ns,
+)
 from dopslam_ros.messages.filter_output import DrawingParameters, FilterMessages, quaternions
-from dopslam_ros.messages.conversion import Frames, make_control, make_header, make_map, make_measurements, make_ue_state, read_control, read_map, read_measurements, read_message, read_ue_state, stamp_ns
 
 BS = np.array([0.0, 0.0, 40.0])
 VA, SP = int(LandmarkType.VA), int(LandmarkType.SP)

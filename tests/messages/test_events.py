@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter, message_class, serialize
-from dopslam_ros.core.session.events import Event
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.session.checkpoint import BEFORE_ALL
-from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.core.session.checkpoint_file import to_bytes
-from dopslam_ros.messages.events import make_event, read_event, recorded_events
+from dopslam_ros.core.session.events import Event
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import InvalidMessage
+from dopslam_ros.messages.events import make_event, read_event, recorded_events
 from dopslam_ros.offline.replay import replay
 
 EVENTS, SETS = topics.FILTER_EVENTS, topics.CHANNEL_MEASUREMENTS

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader
-from dopslam_ros.simulation.scenario import ScenarioError
+from dopslam_ros.messages import topics
 from dopslam_ros.nodes.launching import ARGUMENTS, LaunchError, plan
+from dopslam_ros.simulation.scenario import ScenarioError
 
 if TYPE_CHECKING:
     from tests.conftest import Processes

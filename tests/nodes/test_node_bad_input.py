@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter, deserialize, message_class, serialize
 from dopslam_ros.core.models.measurements import MOST_PATHS
 from dopslam_ros.core.models.motion import Control
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import Frames, make_control
 from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode

@@ -9,18 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, message_class, serialize
 from dopslam_ros.core.linalg.arrays import wrap_angle
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.core.session.filtering import BoundsParameters, BoundsSession
+from dopslam_ros.core.session.bounding import BoundsSession
+from dopslam_ros.core.settings.bounding import BoundsParameters
+from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import Frames, make_bounds, read_map, read_ue_state, stamp_ns
 from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.recorder import RecorderNode
 from dopslam_ros.nodes.runtime import Output, middleware_class, qos_profile
 from dopslam_ros.nodes.simulator import SimulatorNode
+from dopslam_ros.simulation.scenario import load_scenario
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Ros

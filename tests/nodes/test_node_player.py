@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter
+from dopslam_ros.messages import topics
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.player import PlayerNode
 from dopslam_ros.nodes.runtime import StartError, middleware_class

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader
+from dopslam_ros.messages import topics
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Process, Processes

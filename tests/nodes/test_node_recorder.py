@@ -17,10 +17,18 @@ import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
-from dopslam_ros.messages import topics
-from dopslam_ros.bag import BagReader, Durability, Reliability, message_class, serialize, type_hash, typestore
+from dopslam_ros.bag import (
+    BagReader,
+    Durability,
+    Reliability,
+    message_class,
+    serialize,
+    type_hash,
+    typestore,
+)
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import Frames, make_control, make_measurements
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.recorder import RecorderNode

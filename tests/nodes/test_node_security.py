@@ -13,9 +13,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagWriter
 from dopslam_ros.cli.commands.parameters import NODES
+from dopslam_ros.messages import topics
 from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.player import PlayerNode

@@ -12,14 +12,14 @@ import pytest
 from dopslam_msgs.srv import LoadMap, SaveMap
 from std_srvs.srv import SetBool, Trigger
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter, deserialize
 from dopslam_ros.core.session.checkpoint import SNAPSHOT
+from dopslam_ros.messages import topics
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.recorder import RecorderNode
 from dopslam_ros.nodes.runtime import Output, StartError, middleware_class, qos_profile
 from dopslam_ros.offline.replay import replay
-from dopslam_ros.system.storage import read_saved
+from dopslam_ros.system.storage import read_checkpoint
 
 if TYPE_CHECKING:
     from tests.conftest import Listener, Process, Processes, Ros
@@ -116,7 +116,7 @@ def test_services_change_the_run_and_its_replay(
     arrived(ros, listener, 3)
     saved = vehicle.call(SaveMap, "save_map", name="hall")
     assert saved.success and saved.path == str(maps / "hall.dopmap"), saved.message
-    assert read_saved(Path(saved.path)).stamp_ns == vehicle.stamp(2)
+    assert read_checkpoint(Path(saved.path)).stamp_ns == vehicle.stamp(2)
     assert vehicle.call(Trigger, "reset").success
     vehicle.send(3, 4)
     arrived(ros, listener, 4)
@@ -226,7 +226,7 @@ def test_a_killed_filter_goes_on_where_it_was(
         vehicle.send(0, 5)
         assert arrived(ros, listener, 5) == whole[:5]
         path = maps / "last.dopstate"
-        ros.spin_until(lambda: path.exists() and read_saved(path).stamp_ns == vehicle.stamp(4))
+        ros.spin_until(lambda: path.exists() and read_checkpoint(path).stamp_ns == vehicle.stamp(4))
         gone = vehicle.filters()
         assert first.stop(signal.SIGKILL) == -signal.SIGKILL
         second = resumable(processes, maps)
@@ -235,7 +235,7 @@ def test_a_killed_filter_goes_on_where_it_was(
         vehicle.send(5, 8)
         assert arrived(ros, listener, 8)[5:] == whole[5:]
         assert second.stop() == 0
-        assert read_saved(path).stamp_ns == vehicle.stamp(7)
+        assert read_checkpoint(path).stamp_ns == vehicle.stamp(7)
     finally:
         ros.close()
 
@@ -259,7 +259,7 @@ def test_a_snapshot_that_is_no_good_is_told_and_left(
     states = arrived(ros, listener, 3)
     ros.remove(first)
     path = maps / "last.dopstate"
-    assert read_saved(path).kind == SNAPSHOT
+    assert read_checkpoint(path).kind == SNAPSHOT
     if trouble == "damaged":
         data = bytearray(path.read_bytes())
         data[len(data) // 2] ^= 1

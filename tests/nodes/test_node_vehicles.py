@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter, deserialize, serialize
-from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.messages import topics
 from dopslam_ros.offline.replay import replay
 from dopslam_ros.simulation.recording import write_simulation
+from dopslam_ros.simulation.scenario import load_scenario
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Process, Processes

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.pcrb.bounds import Bounds
-from dopslam_ros.offline.evaluation import NOT_JUDGED, StepRecord, judge_step, summarise
 from dopslam_ros.core.pmb import LandmarkEstimates
+from dopslam_ros.offline.evaluation import NOT_JUDGED, StepRecord, judge_step, summarise
 
 TRUTH = np.array([1.0, 2.0, 3.1, 4.0])
 COVARIANCE = np.diag([4.0, 1.0, 0.01, 9.0])

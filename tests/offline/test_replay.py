@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagMessage, BagReader, BagWriter
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.settings.parameters import ParameterError
+from dopslam_ros.messages import topics
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.player import PlayerNode
 from dopslam_ros.offline.replay import Replay, replay

@@ -9,13 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dopslam_ros.bag import (
+    BagError,
+    BagMessage,
+    BagReader,
+    BagWriter,
+    message_class,
+    serialize,
+    type_hash,
+)
 from dopslam_ros.messages import topics
-from dopslam_ros.bag import BagError, BagMessage, BagReader, BagWriter, message_class, serialize, type_hash
-from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.messages.conversion import make_text
 from dopslam_ros.offline.replay import Replay, replay
 from dopslam_ros.offline.replay_inputs import ReplayError
 from dopslam_ros.simulation.recording import write_simulation
+from dopslam_ros.simulation.scenario import load_scenario
 
 STEPS = 4
 SETTINGS = "/" + topics.FILTER_PARAMETERS.name

@@ -7,8 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from dopslam_ros.core.settings.model import with_doppler_std
+from dopslam_ros.simulation.matched import (
+    bounds_parameters_for,
+    filter_parameters_for,
+    nominal_bounds,
+)
 from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.simulation.matched import bounds_parameters_for, filter_parameters_for, nominal_bounds
 
 
 def test_filter_and_bounds_take_the_models_of_the_scene() -> None:

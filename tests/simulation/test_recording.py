@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import yaml
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagWriter, deserialize
-from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.simulation.simulator import simulate
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import read_control, read_measurements, read_ue_state, stamp_ns
 from dopslam_ros.offline.replay import replay
 from dopslam_ros.simulation.recording import write_simulation
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.simulation.simulator import simulate
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun

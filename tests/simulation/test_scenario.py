@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from dopslam_ros.core.models.channel import LandmarkType
 from dopslam_ros.core.models.motion import Control
+from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.simulation.scenario import Blockage, ScenarioError, load_scenario, parse_scenario
 
 SMALL = """

@@ -9,12 +9,18 @@ import pytest
 import yaml
 
 from dopslam_ros.core.linalg.arrays import BoolArray
-from dopslam_ros.core.models.channel import LandmarkType, observe
-from dopslam_ros.core.settings.model import clutter_box
+from dopslam_ros.core.models.channel import observe
 from dopslam_ros.core.models.motion import propagate
-from dopslam_ros.simulation.scenario import Scenario, load_scenario, parse_scenario, scenario_content
-from dopslam_ros.simulation.simulator import all_landmarks, nominal_trajectory, visible
+from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.core.settings.model import clutter_box
+from dopslam_ros.simulation.scenario import (
+    Scenario,
+    load_scenario,
+    parse_scenario,
+    scenario_content,
+)
 from dopslam_ros.simulation.scenes import builtin_scenarios
+from dopslam_ros.simulation.simulator import all_landmarks, nominal_trajectory, visible
 
 NAMES = builtin_scenarios()
 

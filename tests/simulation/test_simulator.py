@@ -11,11 +11,19 @@ import pytest
 from scipy.stats import chi2
 
 from dopslam_ros.core.linalg.arrays import BoolArray, wrap_angle
-from dopslam_ros.core.models.channel import DIM, LandmarkType, observe, residual
-from dopslam_ros.core.settings.model import clutter_box, with_doppler_std
+from dopslam_ros.core.models.channel import observe, residual
 from dopslam_ros.core.models.motion import Control, propagate
+from dopslam_ros.core.settings.layout import DIM, LandmarkType
+from dopslam_ros.core.settings.model import clutter_box, with_doppler_std
 from dopslam_ros.simulation.scenario import Blockage, Scenario, load_scenario
-from dopslam_ros.simulation.simulator import CLUTTER, Snapshot, all_landmarks, nominal_trajectory, simulate, visible
+from dopslam_ros.simulation.simulator import (
+    CLUTTER,
+    Snapshot,
+    all_landmarks,
+    nominal_trajectory,
+    simulate,
+    visible,
+)
 
 
 def run(scenario: Scenario, seed: int) -> list[Snapshot]:

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from dopslam_ros.simulation import warmup
 from dopslam_ros.core.pmb import FilterParameters
+from dopslam_ros.simulation import warmup
 from dopslam_ros.simulation.warmup import warm_up_filter
 
 # In a process of its own: other tests call kernels too, and with arrays of other kinds.
@@ -43,14 +43,14 @@ warm_up_filter(parameters)
 warm_up_bounds(BoundsParameters())
 before = known()
 print("twice:", [name for name, count in before.items() if count > 1])
-session, asleep = FilterSession(parameters), 0
+session, inactive = FilterSession(parameters), 0
 for snapshot in simulate(scenario, np.random.default_rng(1)):
     control = snapshot.control
     list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
     for output in session.add_measurements(snapshot.stamp_ns, snapshot.measurements):
-        asleep += len(output.state.best.asleep) > 0 and len(output.landmarks.ids) > 0
+        inactive += len(output.state.best.inactive) > 0 and len(output.landmarks.ids) > 0
 print("new:", [name for name, count in known().items() if count != before[name]])
-print("slept:", asleep > 0)
+print("slept:", inactive > 0)
 """
 
 

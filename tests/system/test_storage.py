@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, Saved, SavedError
-from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_file import to_bytes
-from dopslam_ros.system.storage import SnapshotWriter, Store, read_saved, write_saved
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.system.storage import SnapshotWriter, Store, read_checkpoint, write_checkpoint
 
 SESSION = FilterSession(FilterParameters())
 
@@ -45,19 +45,19 @@ def test_a_name_cannot_lead_out_of_the_folder(store: Store, name: str) -> None:
         lambda: store.read(name, MAP),
         lambda: store.path(name, SNAPSHOT),
     ):
-        with pytest.raises(SavedError, match="no name"):
+        with pytest.raises(CheckpointError, match="no name"):
             act()
     assert not store.folder.exists()
 
 
 def test_links_are_not_followed(store: Store, tmp_path: Path) -> None:
     outside = tmp_path / "outside.dopmap"
-    write_saved(outside, SESSION.known_map())
+    write_checkpoint(outside, SESSION.known_map())
     before = outside.read_bytes()
     store.folder.mkdir()
     link = store.folder / "link.dopmap"
     link.symlink_to(outside)
-    with pytest.raises(SavedError, match="cannot be read"):
+    with pytest.raises(CheckpointError, match="cannot be read"):
         store.read("link", MAP)
     planted = store.folder / "link.dopmap.tmp"
     planted.symlink_to(outside)
@@ -73,16 +73,16 @@ def test_what_is_no_file_is_refused_at_once(store: Store) -> None:
     with (store.folder / "huge.dopmap").open("wb") as file:
         file.truncate(1 << 40)  # a hole: it takes no room on the disk
     for name in ("pipe", "folder", "huge", "nothing"):
-        with pytest.raises(SavedError, match=f"{name}.dopmap' cannot be read"):
+        with pytest.raises(CheckpointError, match=f"{name}.dopmap' cannot be read"):
             store.read(name, MAP)
 
 
 def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     store = Store(str(tmp_path / "file"))
-    with pytest.raises(SavedError, match="cannot be written"):
+    with pytest.raises(CheckpointError, match="cannot be written"):
         store.write("hall", SESSION.known_map())
-    with pytest.raises(SavedError, match="cannot be made"):
+    with pytest.raises(CheckpointError, match="cannot be made"):
         SnapshotWriter(store, "last", 0.1)
 
 
@@ -96,7 +96,7 @@ def test_a_write_that_fails_leaves_the_old_file(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(SavedError, match="No space left"):
+    with pytest.raises(CheckpointError, match="No space left"):
         store.write("hall", replace(SESSION.known_map(), stamp_ns=9))
     assert path.read_bytes() == before
     assert [p.name for p in store.folder.iterdir()] == ["hall.dopmap"]
@@ -108,19 +108,19 @@ Wait = Callable[..., None]
 def test_snapshots_follow_the_newest_offer(store: Store, wait: Wait) -> None:
     writer = SnapshotWriter(store, "last", 0.05)
 
-    def numbered(stamp: int) -> Saved:
+    def numbered(stamp: int) -> Checkpoint:
         return replace(SESSION.snapshot(), stamp_ns=stamp)
 
     for stamp in range(200):
         writer.offer(numbered(stamp))
         time.sleep(0.001)
     path = store.path("last", SNAPSHOT)
-    wait(lambda: path.exists() and read_saved(path).stamp_ns == 199)
+    wait(lambda: path.exists() and read_checkpoint(path).stamp_ns == 199)
     assert 1 < writer.written < 100, "one per period, not one per offer"
     writer.offer(numbered(200))
     writer.offer(numbered(201))
     writer.close()
-    assert read_saved(path).stamp_ns == 201
+    assert read_checkpoint(path).stamp_ns == 201
 
 
 def test_a_disk_that_is_full_for_a_while_is_told_and_survived(
@@ -144,7 +144,7 @@ def test_a_disk_that_is_full_for_a_while_is_told_and_survived(
 
 def test_two_filters_cannot_write_the_same_snapshot(store: Store) -> None:
     first = SnapshotWriter(store, "last", 0.1)
-    with pytest.raises(SavedError, match="another filter"):
+    with pytest.raises(CheckpointError, match="another filter"):
         SnapshotWriter(store, "last", 0.1)
     SnapshotWriter(store, "other", 0.1).close()
     first.close()

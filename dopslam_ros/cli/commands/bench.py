@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dopslam_ros.lab.bench.titles import TITLES
 from dopslam_ros.cli.options import add_json, add_list
+from dopslam_ros.lab.bench.titles import TITLES
 
 TEXT = "measure speed and memory, beside what they compare with"
 EXAMPLE = "dopslam bench --json bench.json --markdown BENCHMARKS.md"

@@ -32,9 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: Any) -> int:
     """Computes them, and prints them beside the paper's."""
     from dopslam_ros.core.settings.model import with_doppler_std
-    from dopslam_ros.simulation.scenario import load_scenario
-    from dopslam_ros.simulation.matched import nominal_bounds
     from dopslam_ros.lab.published import published
+    from dopslam_ros.simulation.matched import nominal_bounds
+    from dopslam_ros.simulation.scenario import load_scenario
 
     scenario = load_scenario(options.scenario)
     rows = []

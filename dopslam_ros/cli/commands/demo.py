@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from dopslam_ros.cli.commands.replay import print_summary
-from dopslam_ros.system.files import write_whole
 from dopslam_ros.cli.options import add_json, add_scenario, add_seed, positive_number, write_json
+from dopslam_ros.system.files import write_whole
 from dopslam_ros.system.stopping import Stop
 
 TEXT = "run the paper's scene live, record, replay, compare, draw"
@@ -32,8 +32,8 @@ def run(options: Any) -> int:
     """Runs it; returns 1 if the replay is not what was recorded."""
     from tqdm import tqdm
 
-    from dopslam_ros.simulation.scenario import load_scenario
     from dopslam_ros.cli.demo import new_folder, run_live
+    from dopslam_ros.simulation.scenario import load_scenario
 
     scenario = load_scenario(options.scenario)
     seed = scenario.seed if options.seed is None else options.seed

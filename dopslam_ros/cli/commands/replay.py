@@ -30,20 +30,20 @@ def run(options: Any) -> int:
     """Filters until the bag ends or Ctrl-C comes."""
     from dopslam_ros.bag import BagReader, BagWriter
     from dopslam_ros.offline.replay import replay
-    from dopslam_ros.system.storage import read_saved, write_saved
+    from dopslam_ros.system.storage import read_checkpoint, write_checkpoint
 
     reader = BagReader(options.bag)
     progress = partial(with_progress, total=None, description="replay")
     settings = read_settings(options)
     with Stop(keep=True) as stop:
-        start_map = None if options.map is None else read_saved(options.map.resolve())
+        start_map = None if options.map is None else read_checkpoint(options.map.resolve())
         if options.out is None:
             done = replay(reader, settings, None, progress, start_map)
         else:
             with BagWriter(options.out, flush_seconds=None) as writer:
                 done = replay(reader, settings, writer, progress, start_map)
         if options.save_map is not None and done.known_map is not None:
-            write_saved(options.save_map, done.known_map)
+            write_checkpoint(options.save_map, done.known_map)
         summary = done.summary()
         summary["stopped"] = stop.asked
         print_summary(summary)

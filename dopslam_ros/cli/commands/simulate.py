@@ -25,8 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: Any) -> int:
     """Simulates until the scene ends or Ctrl-C comes."""
     from dopslam_ros.bag import BagWriter
-    from dopslam_ros.simulation.scenario import load_scenario
     from dopslam_ros.simulation.recording import write_simulation
+    from dopslam_ros.simulation.scenario import load_scenario
 
     scenario = load_scenario(options.scenario)
     seed = scenario.seed if options.seed is None else options.seed

@@ -6,7 +6,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dopslam_ros.cli.options import add_json, add_list, add_runs, add_scenario, add_settings, positive_number, whole_from_one
+from dopslam_ros.cli.options import (
+    add_json,
+    add_list,
+    add_runs,
+    add_scenario,
+    add_settings,
+    positive_number,
+    whole_from_one,
+)
 from dopslam_ros.lab.study.names import FILTERS
 
 TEXT = "Monte Carlo: filters beside each other and their bound"

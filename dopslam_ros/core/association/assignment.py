@@ -6,19 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.association import murty as kernels
-from dopslam_ros.core.association.shortest_path import FREE, sparse
-
-# A row that is given to no column of its own choice.
-UNASSIGNED = FREE
+from dopslam_ros.core.association.shortest_path import sparse
+from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 
 
 class Ranked(NamedTuple):
     """Assignments in the order of their cost.
 
     Attributes:
-        columns: (k, R) the column of each row, or UNASSIGNED.
+        columns: (k, R) the column of each row, or NONE.
         costs: (k,) ascending.
     """
 

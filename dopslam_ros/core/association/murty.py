@@ -13,12 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dopslam_ros.core.association.shortest_path import (
+    Search,
+    Solution,
+    Sparse,
+    augment,
+    cheapest,
+    price_rows,
+    sparse,
+)
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import compiled, part
-from dopslam_ros.core.association.shortest_path import FREE, OPEN, Search, Solution, Sparse, augment, cheapest, price_rows, sparse
-
-# In place of the parent of the first solution.
-ROOT = -1
+from dopslam_ros.core.linalg.jit import from_python, jit
+from dopslam_ros.core.settings.layout import NONE
 
 
 class Ranking(NamedTuple):
@@ -30,7 +36,7 @@ class Ranking(NamedTuple):
         ticket: (K,) which of the following a cost belongs to.
         pair: (K, N) of each row.
         price: (K, M) of the columns.
-        parent: (K,) from which it was split, or ROOT.
+        parent: (K,) from which it was split, or NONE.
         fixed: (K,) the row at which it differs from its parent; the rows before agree.
     """
 
@@ -43,7 +49,7 @@ class Ranking(NamedTuple):
     fixed: IntArray
 
 
-@part
+@jit
 def insert(keys: FloatArray, tickets: IntArray, count: IntArray, key: float, ticket: int) -> None:
     """Puts a ticket behind those whose keys are not larger; from a full list the last falls off.
 
@@ -67,16 +73,16 @@ def insert(keys: FloatArray, tickets: IntArray, count: IntArray, key: float, tic
     count[0] = min(count[0] + 1, size)
 
 
-@compiled
+@from_python
 def cluster_heads(problem: Sparse, columns: int) -> IntArray:
     """(N,) the first row of the cluster each row is in; clusters share no column."""
     head = np.arange(len(problem.start) - 1)
-    first = np.full(columns, FREE)
+    first = np.full(columns, NONE)
     for pair in range(len(problem.row)):
         row, column = problem.row[pair], problem.column[pair]
         if column == columns:  # everybody's ground
             continue
-        if first[column] == FREE:
+        if first[column] == NONE:
             first[column] = row
         a, b = row, first[column]
         while head[a] != a:
@@ -91,14 +97,14 @@ def cluster_heads(problem: Sparse, columns: int) -> IntArray:
     return head
 
 
-@part
+@jit
 def cut_out(
     problem: Sparse, columns: int, head: IntArray, first: int
 ) -> tuple[Sparse, IntArray, IntArray]:
     """The cluster whose first row is ``first`` as a problem of its own.
 
     Returns:
-        The problem, its (N,) rows and (M + 1,) columns; the ground is called FREE.
+        The problem, its (N,) rows and (M + 1,) columns; the ground is called NONE.
     """
     size, pairs = 0, 0
     for row in range(first, len(head)):
@@ -107,14 +113,14 @@ def cut_out(
             pairs += problem.start[row + 1] - problem.start[row]
     members, start = np.empty(size, np.int64), np.zeros(size + 1, np.int64)
     owner, column, cost = np.empty(pairs, np.int64), np.empty(pairs, np.int64), np.empty(pairs)
-    number, names = np.full(columns + 1, FREE), np.empty(pairs + 1, np.int64)
+    number, names = np.full(columns + 1, NONE), np.empty(pairs + 1, np.int64)
     used, n, filled = 0, 0, 0
     for row in range(first, len(head)):
         if head[row] != first:
             continue
         for pair in range(problem.start[row], problem.start[row + 1]):
             name = problem.column[pair]
-            if number[name] == FREE and name != columns:
+            if number[name] == NONE and name != columns:
                 number[name] = used
                 names[used] = name
                 used += 1
@@ -126,20 +132,20 @@ def cut_out(
         n += 1
         start[n] = filled
     for pair in range(pairs):
-        if column[pair] == FREE:
+        if column[pair] == NONE:
             column[pair] = used
-    names[used] = FREE
+    names[used] = NONE
     return Sparse(start, owner, column, cost), members, names[: used + 1]
 
 
-@part
+@jit
 def wanted(costs: FloatArray, found: IntArray, cost: float, limit: float) -> bool:
     """Whether a solution of this cost would be among the best so far, (K,) ``found`` (1,)."""
     last = len(costs) - 1
     return cost <= limit and (found[0] <= last or cost < costs[last])
 
 
-@part
+@jit
 def keep(ranking: Ranking, solution: Solution, cost: float) -> int:
     """Adds a solution, in place of the last one where there is no room; tells its ticket."""
     size = len(ranking.cost)
@@ -152,12 +158,12 @@ def keep(ranking: Ranking, solution: Solution, cost: float) -> int:
     return int(at)
 
 
-@part
+@jit
 def load(problem: Sparse, ranking: Ranking, at: int, solution: Solution) -> None:
     """Makes ``solution`` the one that was kept."""
     ground = ranking.price.shape[1]
     for column in range(ground):
-        solution.row[column] = FREE
+        solution.row[column] = NONE
         solution.v[column] = ranking.price[at, column]
     for row in range(len(solution.pair)):
         pair = ranking.pair[at, row]
@@ -167,16 +173,16 @@ def load(problem: Sparse, ranking: Ranking, at: int, solution: Solution) -> None
     price_rows(problem, solution)
 
 
-@part
+@jit
 def forbid(allowed: Sparse, ranking: Ranking, at: int, row: int) -> None:
     """Takes from a row what it has in a solution and in those that this was split from there."""
     allowed.cost[ranking.pair[at, row]] = math.inf
-    while ranking.parent[at] != ROOT and ranking.fixed[at] == row:
+    while ranking.parent[at] != NONE and ranking.fixed[at] == row:
         at = ranking.parent[at]
         allowed.cost[ranking.pair[at, row]] = math.inf
 
 
-@part
+@jit
 def split(
     problem: Sparse,
     allowed: Sparse,
@@ -206,8 +212,8 @@ def split(
         least = cost + max(0.0, other - solution.u[row])
         if other < math.inf and wanted(ranking.cost, ranking.found, least, limit):
             target = problem.column[solution.pair[row]]
-            solution.pair[row] = OPEN
-            solution.row[target] = FREE
+            solution.pair[row] = NONE
+            solution.row[target] = NONE
             if augment(allowed, solution, search, row, target, row):
                 # Never cheaper than the parent, whatever the rounding.
                 found = max(cost, price_rows(problem, solution))
@@ -220,7 +226,7 @@ def split(
             allowed.cost[pair] = problem.cost[pair]
 
 
-@part
+@jit
 def rank_cluster(
     problem: Sparse, columns: int, k: int, slack: float
 ) -> tuple[IntArray, FloatArray]:
@@ -242,7 +248,7 @@ def rank_cluster(
     size = int(possible)
     ints = np.empty((3, columns + 1), np.int64)
     solution = Solution(
-        np.full(rows, OPEN), np.full(columns + 1, FREE), np.empty(rows), np.zeros(columns + 1)
+        np.full(rows, NONE), np.full(columns + 1, NONE), np.empty(rows), np.zeros(columns + 1)
     )
     search = Search(np.empty(columns + 1), ints[0], ints[1], ints[2], np.zeros(1, np.int64))
     ranking = Ranking(
@@ -251,7 +257,7 @@ def rank_cluster(
         np.empty(size, np.int64),
         np.empty((size, rows), np.int64),
         np.empty((size, columns)),
-        np.full(size, ROOT),
+        np.full(size, NONE),
         np.zeros(size, np.int64),
     )
     cost = 0.0
@@ -271,7 +277,7 @@ def rank_cluster(
     return chosen, ranking.cost[: ranking.found[0]]
 
 
-@part
+@jit
 def combine(costs: FloatArray, more: FloatArray, k: int) -> tuple[FloatArray, IntArray]:
     """The k smallest sums of one of ``costs`` (A,) and one of ``more`` (B,), both ascending.
 
@@ -292,7 +298,7 @@ def combine(costs: FloatArray, more: FloatArray, k: int) -> tuple[FloatArray, In
     return sums, tickets
 
 
-@compiled
+@from_python
 def k_best(cost: FloatArray, idle_cost: FloatArray, k: int) -> tuple[IntArray, FloatArray]:
     """The k cheapest assignments; those of the clusters are ranked apart and combined.
 
@@ -302,12 +308,12 @@ def k_best(cost: FloatArray, idle_cost: FloatArray, k: int) -> tuple[IntArray, F
         k: how many at most.
 
     Returns:
-        (H, R) columns, FREE for none, and (H,) costs, ascending.
+        (H, R) columns, NONE for none, and (H,) costs, ascending.
     """
     rows, columns = cost.shape
     problem = sparse(cost, idle_cost)
     head = cluster_heads(problem, columns)
-    chosen = np.full((min(max(k, 0), 1), rows), FREE)
+    chosen = np.full((min(max(k, 0), 1), rows), NONE)
     costs = np.zeros(len(chosen))
     for first in range(rows):
         if head[first] != first or len(costs) == 0:

@@ -17,12 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import compiled, part
-
-# In place of a pair: the row was not given anything yet.
-OPEN = -1
-# In place of a row: nobody has the column.
-FREE = -1
+from dopslam_ros.core.linalg.jit import from_python, jit
+from dopslam_ros.core.settings.layout import NONE
 
 
 class Sparse(NamedTuple):
@@ -45,8 +41,8 @@ class Solution(NamedTuple):
     """Who has what, and the prices.
 
     Attributes:
-        pair: (N,) of each row, or OPEN.
-        row: (M + 1,) of each column, or FREE as the ground always is.
+        pair: (N,) of each row, or NONE.
+        row: (M + 1,) of each column, or NONE as the ground always is.
         u: (N,) price of each row.
         v: (M + 1,) price of each column; that of the ground is 0.
     """
@@ -75,7 +71,7 @@ class Search(NamedTuple):
     length: IntArray
 
 
-@compiled
+@from_python
 def sparse(cost: FloatArray, idle: FloatArray) -> Sparse:
     """The finite entries of cost (N, M) and idle (N,), by rows."""
     rows, columns = cost.shape
@@ -95,7 +91,7 @@ def sparse(cost: FloatArray, idle: FloatArray) -> Sparse:
     return Sparse(start, row[:pair], column[:pair], finite[:pair])
 
 
-@part
+@jit
 def reach(
     search: Search, solution: Solution, column: int, pair: int, distance: float, target: int
 ) -> None:
@@ -104,7 +100,7 @@ def reach(
     What is free leads to the ground, and nowhere else.
     """
     ground = len(search.distance) - 1
-    node = ground if solution.row[column] == FREE and column != target else column
+    node = ground if solution.row[column] == NONE and column != target else column
     known = search.distance[node]
     if search.settled[node] or not distance < min(known, search.distance[target]):
         return
@@ -115,7 +111,7 @@ def reach(
         search.length[0] += 1
 
 
-@part
+@jit
 def leave_row(
     problem: Sparse,
     solution: Solution,
@@ -134,7 +130,7 @@ def leave_row(
             reach(search, solution, column, pair, distance, target)
 
 
-@part
+@jit
 def leave_ground(
     problem: Sparse, solution: Solution, search: Search, at: float, target: int, fixed: int
 ) -> None:
@@ -146,11 +142,11 @@ def leave_ground(
             reach(search, solution, column, nobody, max(at, at - solution.v[column]), target)
     for row in range(fixed, len(solution.pair)):
         pair = solution.pair[row]
-        if pair != OPEN and problem.column[pair] == ground:
+        if pair != NONE and problem.column[pair] == ground:
             leave_row(problem, solution, search, row, at, target, fixed)
 
 
-@part
+@jit
 def cheapest(problem: Sparse, solution: Solution, row: int, fixed: int) -> float:
     """The cheapest that a row may have at these prices; inf where there is nothing."""
     best = math.inf
@@ -161,7 +157,7 @@ def cheapest(problem: Sparse, solution: Solution, row: int, fixed: int) -> float
     return best
 
 
-@part
+@jit
 def shortest_path(
     problem: Sparse, solution: Solution, search: Search, row: int, target: int, fixed: int
 ) -> float:
@@ -205,7 +201,7 @@ def shortest_path(
     return math.inf
 
 
-@part
+@jit
 def augment(
     problem: Sparse, solution: Solution, search: Search, row: int, target: int, fixed: int
 ) -> bool:
@@ -222,13 +218,13 @@ def augment(
     ground = len(search.distance) - 1
     lift = max(0.0, length - search.distance[ground])
     for column in range(ground):
-        if solution.row[column] != FREE or column == target:
+        if solution.row[column] != NONE or column == target:
             solution.v[column] += lift - max(0.0, length - search.distance[column])
     node = target
     while True:
         pair = search.pair[node]
         if pair == len(problem.row):
-            solution.row[node] = FREE
+            solution.row[node] = NONE
             solution.v[node] = 0.0
             pair = search.pair[ground]
         holder = problem.row[pair]
@@ -241,7 +237,7 @@ def augment(
         node = problem.column[left]
 
 
-@part
+@jit
 def price_rows(problem: Sparse, solution: Solution) -> float:
     """Sets u to what each row pays at the prices of the columns.
 
@@ -251,7 +247,7 @@ def price_rows(problem: Sparse, solution: Solution) -> float:
     cost = 0.0
     for row in range(len(solution.pair)):
         pair = solution.pair[row]
-        if pair != OPEN:
+        if pair != NONE:
             solution.u[row] = problem.cost[pair] - solution.v[problem.column[pair]]
             cost += problem.cost[pair]
     return cost

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.linalg.jit import compiled
-from dopslam_ros.core.pmb.records import UE
+from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.linalg.small import cholesky
+from dopslam_ros.core.settings.layout import UE
 
 # What rounding may do to a covariance: relative to its variances, and at all.
 ASYMMETRY, INDEFINITENESS, TINY = 1e-9, 1e-9, 1e-12
@@ -15,7 +15,7 @@ ASYMMETRY, INDEFINITENESS, TINY = 1e-9, 1e-9, 1e-12
 MOST_FACTORED = 64
 
 
-@compiled
+@from_python
 def is_gaussian(mean: FloatArray, covariance: FloatArray) -> bool:
     """Whether all is finite, symmetric and positive definite, as far as rounding lets one tell.
 

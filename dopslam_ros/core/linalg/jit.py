@@ -20,37 +20,43 @@ F = TypeVar("F", bound=Callable[..., Any])
 _njit: Any = partial(numba.njit, error_model="numpy", no_cfunc_wrapper=True)
 
 
-def compiled(function: F) -> F:
-    """The function as machine code, made at the first call with arguments of new types."""
+def from_python(function: F) -> F:
+    """The function as machine code that Python may call, made at the first call with new types.
+
+    Args:
+        function: plain, or one of ``jit``, which gets a way in from Python beside what it is.
+    """
+    plain = getattr(function, "py_func", function)
     settings: Any = numba.config
     before, settings.CACHE_DIR = settings.CACHE_DIR, str(cache_folder())
     try:
-        return cast(F, _njit(cache=True)(function))
+        return cast(F, _njit(cache=True)(plain))
     except RuntimeError:  # no folder can be written: compile in every process
-        return cast(F, _njit()(function))
+        return cast(F, _njit()(plain))
     finally:
         settings.CACHE_DIR = before
 
 
-def part(function: F) -> F:
+def jit(function: F) -> F:
     """A function that only compiled ones may call: Python has no way in, and would crash.
 
-    Half of the machine code of a function of many arrays is that way in. ``exposed`` makes one.
+    Half of the machine code of a function of many arrays is that way in; ``from_python`` makes it.
     """
     return cast(F, _njit(no_cpython_wrapper=True)(function))
 
 
-def part_of_one(function: F) -> F:
-    """A part that only one other calls, and the compiler makes it a piece of that one.
+def jit_inline(function: F) -> F:
+    """A ``jit`` function that only one other calls, and the compiler makes it a piece of that one.
 
     What is handed over are dozens of arrays: as functions of their own these take it twice as long.
     """
     return cast(F, _njit(no_cpython_wrapper=True, inline="always")(function))
 
 
-def exposed(function: F) -> F:
-    """A part as a function that Python may call."""
-    return compiled(cast(F, cast(Any, function).py_func))
+def kernel_sources() -> list[Path]:
+    """The files of the core that have compiled functions."""
+    core = Path(__file__).parents[1]
+    return [file for file in sorted(core.rglob("*.py")) if b"linalg.jit" in file.read_bytes()]
 
 
 @cache
@@ -60,7 +66,7 @@ def cache_folder() -> Path:
     In the user's cache folder, or under NUMBA_CACHE_DIR where that is set.
     """
     digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    for source in kernel_sources():
         digest.update(source.read_bytes())
     parent = os.environ.get("NUMBA_CACHE_DIR")
     if not parent:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import part
+from dopslam_ros.core.linalg.jit import jit
 
 
-@part
+@jit
 def cholesky(a: FloatArray, n: int) -> bool:
     """Replaces the lower triangle of a (n, n) by its Cholesky factor L; a = L L'.
 
@@ -33,7 +33,7 @@ def cholesky(a: FloatArray, n: int) -> bool:
     return True
 
 
-@part
+@jit
 def forward(lower: FloatArray, x: FloatArray, n: int) -> None:
     """Replaces x (n,) by the solution y of L y = x."""
     for i in range(n):
@@ -43,7 +43,7 @@ def forward(lower: FloatArray, x: FloatArray, n: int) -> None:
         x[i] = entry / lower[i, i]
 
 
-@part
+@jit
 def forward_columns(lower: FloatArray, x: FloatArray, n: int) -> None:
     """Replaces x (n, m) by the solution Y of L Y = X."""
     columns = x.shape[1]
@@ -57,7 +57,7 @@ def forward_columns(lower: FloatArray, x: FloatArray, n: int) -> None:
             x[i, c] *= scale
 
 
-@part
+@jit
 def backward(lower: FloatArray, x: FloatArray, n: int) -> None:
     """Replaces x (n,) by the solution y of L' y = x."""
     for i in range(n - 1, -1, -1):
@@ -67,7 +67,7 @@ def backward(lower: FloatArray, x: FloatArray, n: int) -> None:
         x[i] = entry / lower[i, i]
 
 
-@part
+@jit
 def solve_bordered(a: FloatArray, n: int) -> float:
     """Solves L L' x = y, L the lower triangle of a (n + 1, n + 1), y its last row, which becomes x.
 
@@ -89,7 +89,7 @@ def solve_bordered(a: FloatArray, n: int) -> float:
     return size
 
 
-@part
+@jit
 def log_determinant(lower: FloatArray, n: int) -> float:
     """ln det(L L')."""
     total = 0.0
@@ -98,7 +98,7 @@ def log_determinant(lower: FloatArray, n: int) -> float:
     return 2.0 * total
 
 
-@part
+@jit
 def used_places(used: BoolArray, place: IntArray) -> int:
     """Writes the indices at which used (n,) holds to the front of place (n,); returns how many."""
     count = 0

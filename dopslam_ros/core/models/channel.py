@@ -7,33 +7,20 @@ departure, Doppler.
 
 from __future__ import annotations
 
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray, check_shapes, floats, integers
-from dopslam_ros.core.models import channel_kernels as kernels
-
-COMPONENTS = (
-    "path_length",
-    "aoa_azimuth",
-    "aoa_elevation",
-    "aod_azimuth",
-    "aod_elevation",
-    "doppler",
+from dopslam_ros.core.linalg.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    check_shapes,
+    floats,
+    integers,
 )
-DIM = len(COMPONENTS)
-DOPPLER = COMPONENTS.index("doppler")
-AZIMUTHS = (1, 3)
-
-
-class LandmarkType(IntEnum):
-    """m in the paper. The numbers are those of dopslam_msgs/Landmark."""
-
-    BS = kernels.BS
-    VA = kernels.VA
-    SP = kernels.SP
+from dopslam_ros.core.models import channel_kernels as kernels
+from dopslam_ros.core.settings.layout import DIM, LandmarkType
 
 
 class Paths(NamedTuple):

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import compiled, part
+from dopslam_ros.core.linalg.jit import from_python, jit
+from dopslam_ros.core.settings.layout import BS, DIM, SP, VA
 
-# The numbers of LandmarkType and of the measured components.
-BS, VA, SP = 0, 1, 2
-DIM = 6
 # Two points closer than this [m] have no direction from one to the other.
 SMALLEST_DISTANCE = 1e-6
 
 
-@part
+@jit
 def observe_source(
     ue: FloatArray,
     speed: float,
@@ -90,7 +88,7 @@ def observe_source(
     return False, True
 
 
-@compiled
+@from_python
 def observe_sources(
     ue: FloatArray,
     speed: float,
@@ -122,7 +120,7 @@ def observe_sources(
         )
 
 
-@part
+@jit
 def clear(a: FloatArray, b: FloatArray) -> None:
     """Sets A (6, 4) and B (6, 3) to zero."""
     for row in range(DIM):
@@ -130,7 +128,7 @@ def clear(a: FloatArray, b: FloatArray) -> None:
         b[row, 0] = b[row, 1] = b[row, 2] = 0.0
 
 
-@part
+@jit
 def unit(x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Length of a vector, then its unit vector; one of no length points along x."""
     length = math.sqrt(x * x + y * y + z * z)
@@ -139,13 +137,13 @@ def unit(x: float, y: float, z: float) -> tuple[float, float, float, float]:
     return length, x / length, y / length, z / length
 
 
-@part
+@jit
 def wrapped(angle: float) -> float:
     """An angle [rad] brought into (-pi, pi]; NaN stays NaN."""
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
-@compiled
+@from_python
 def wrap_azimuths(differences: FloatArray) -> None:
     """Wraps the azimuths among innovations (M, 6)."""
     for m in range(len(differences)):
@@ -153,7 +151,7 @@ def wrap_azimuths(differences: FloatArray) -> None:
         differences[m, 3] = wrapped(differences[m, 3])
 
 
-@part
+@jit
 def angle_rows(
     x: float, y: float, z: float, distance: float, jacobian: FloatArray, row: int
 ) -> None:
@@ -176,7 +174,7 @@ def angle_rows(
         jacobian[row + 1, 2] = ground / distance
 
 
-@part
+@jit
 def arrival_rows(
     x: float,
     y: float,
@@ -213,7 +211,7 @@ def arrival_rows(
     a[5, 2] = y * cosine - x * sine
 
 
-@part
+@jit
 def mirrored_rows(
     ux: float,
     uy: float,

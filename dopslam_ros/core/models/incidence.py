@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
+from dopslam_ros.core.linalg.jit import jit
 from dopslam_ros.core.models.channel_kernels import SMALLEST_DISTANCE
-from dopslam_ros.core.linalg.jit import part
 
 # Rounds that settle an elevation that was not measured, and the largest sine it may have.
 ELEVATION_ROUNDS = 10
@@ -17,7 +17,7 @@ STEEPEST = 0.9
 PARALLEL = 1e-4
 
 
-@part
+@jit
 def incidence_points(
     ue: FloatArray,
     ue_height: float,
@@ -63,7 +63,7 @@ def incidence_points(
                 point[i] = vehicle[i] + 1.0
 
 
-@part
+@jit
 def ellipsoid_point(
     focus: FloatArray,
     other: FloatArray,
@@ -109,7 +109,7 @@ def ellipsoid_point(
     return met
 
 
-@part
+@jit
 def closest_point(
     ue: FloatArray,
     bs: FloatArray,
@@ -140,7 +140,7 @@ def closest_point(
     return min(along_u, along_w) > 0.0
 
 
-@part
+@jit
 def ray(azimuth: float, elevation: float) -> tuple[float, float, float]:
     """Unit vector of a direction [rad]; an elevation of NaN counts as 0."""
     if math.isnan(elevation):
@@ -149,7 +149,7 @@ def ray(azimuth: float, elevation: float) -> tuple[float, float, float]:
     return ground * math.cos(azimuth), ground * math.sin(azimuth), math.sin(elevation)
 
 
-@part
+@jit
 def to_virtual_anchor(ue: FloatArray, ue_height: float, bs: FloatArray, point: FloatArray) -> None:
     """Moves the incidence point (3,) of a path on a wall to the VA behind it."""
     x, y, z = point[0] - ue[0], point[1] - ue[1], point[2] - ue_height

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
-from dopslam_ros.core.models.channel import COMPONENTS, DIM
 from dopslam_ros.core.models.channel_kernels import wrap_azimuths
 from dopslam_ros.core.models.refusal import Refused
+from dopslam_ros.core.settings.layout import COMPONENTS, DIM
 
 # Magnitudes beyond which a number cannot be a measurement of its kind [m, rad, ..., m/s].
 PLAUSIBLE = np.array([1e7, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1e5])

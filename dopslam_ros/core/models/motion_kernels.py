@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
+from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.models.channel_kernels import wrapped
-from dopslam_ros.core.linalg.jit import compiled, part
 
 
-@compiled
+@from_python
 def chord(heading: float, speed: float, turn_rate: float, duration: float) -> tuple[float, float]:
     """Displacement x, y [m] of eq. (1), in the form sin(a) / a that is smooth at omega = 0."""
     half = 0.5 * turn_rate * duration
@@ -21,7 +21,7 @@ def chord(heading: float, speed: float, turn_rate: float, duration: float) -> tu
     return length * math.cos(heading + half), length * math.sin(heading + half)
 
 
-@part
+@jit
 def move(state: FloatArray, speed: float, turn_rate: float, duration: float) -> tuple[float, float]:
     """Moves a state (4,) by f of eq. (1); returns its displacement x, y [m]."""
     dx, dy = chord(state[2], speed, turn_rate, duration)
@@ -31,14 +31,14 @@ def move(state: FloatArray, speed: float, turn_rate: float, duration: float) -> 
     return dx, dy
 
 
-@compiled
+@from_python
 def propagate(states: FloatArray, speed: float, turn_rate: float, duration: float) -> None:
     """``move`` for states (M, 4)."""
     for m in range(len(states)):
         move(states[m], speed, turn_rate, duration)
 
 
-@compiled
+@from_python
 def propagate_spans(
     state: FloatArray,
     spans: FloatArray,
@@ -79,7 +79,7 @@ def propagate_spans(
         noise[2, 2] += spans[n, 4]
 
 
-@compiled
+@from_python
 def predict_covariance(
     covariance: FloatArray, jacobian: FloatArray, noise: FloatArray, after: FloatArray
 ) -> None:
@@ -111,7 +111,7 @@ def predict_covariance(
             after[j, i] = entry
 
 
-@compiled
+@from_python
 def predict(
     mean: FloatArray, covariance: FloatArray, spans: FloatArray, noise_rate: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import compiled
-from dopslam_ros.core.association.shortest_path import FREE
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.settings.layout import NONE
 
 # Of a lost vehicle, the share of the paths that fall into the gate of a landmark by chance.
 BY_CHANCE = 0.1
@@ -16,8 +16,8 @@ SUREST = 0.95
 MOST_OF_A_PATH = 3.0
 
 
-@compiled
-def read_signs(
+@from_python
+def set_statistics(
     ids: IntArray,
     weight: FloatArray,
     sources: IntArray,
@@ -33,7 +33,7 @@ def read_signs(
     c + rho. Lost, it is heard by chance only, and the paths of all sources are uniform, as clutter.
 
     Args:
-        ids: (H, J) landmark of each path under each hypothesis, or FREE.
+        ids: (H, J) landmark of each path under each hypothesis, or NONE.
         weight: (H,) of the hypotheses.
         sources: (S,) ids of what could be heard, the BS (0) first.
         log_missed: (S,) ln of the probability that it is not.
@@ -63,7 +63,7 @@ def read_signs(
     for j in range(paths):
         free = 0.0
         for h in range(hypotheses):
-            if ids[h, j] == FREE:
+            if ids[h, j] == NONE:
                 free += weight[h]
         # Of what is free, the share of clutter is c / (c + rho).
         if clutter_mean > 0.0:

@@ -16,12 +16,12 @@ from enum import IntEnum
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.pmb import Associations, FilterParameters
-from dopslam_ros.core.monitoring.cusum import read_signs
 from dopslam_ros.core.models.measurements import MeasurementSet
+from dopslam_ros.core.monitoring.cusum import set_statistics
+from dopslam_ros.core.pmb import Associations, FilterParameters
 
 # Doubt [nat] from which on it is told, and from which on the vehicle counts as lost.
-DOUBT_AT, LOST_AT = 6.0, 10.0
+WARN_AT, LOST_AT = 6.0, 10.0
 # With less than this to hear, nothing heard says nothing.
 FEWEST_EXPECTED = 2.0
 # Share of a figure that is left after a step: a memory of 20 steps.
@@ -74,7 +74,7 @@ class Health:
     Attributes:
         level: OK, WARN or LOST.
         reason: one sentence.
-        doubt: ln of the odds of lost against found, added up [nat].
+        cusum: ln of the odds of lost against found, added up [nat].
         faded: averages of what was heard and how it fitted.
         silence: sets in a row in which the BS was expected and not heard.
         position_std: root of the trace of the position's covariance [m].
@@ -83,7 +83,7 @@ class Health:
 
     level: Level = Level.OK
     reason: str = "as expected"
-    doubt: float = 0.0
+    cusum: float = 0.0
     faded: Faded = Faded()
     silence: int = 0
     position_std: float = 0.0
@@ -105,7 +105,7 @@ class Health:
         off, faded = _off, self.faded
         return [
             ("health", self.level.name),
-            ("doubt", f"{self.doubt:.1f} of {LOST_AT:g}"),
+            ("cusum", f"{self.cusum:.1f} of {LOST_AT:g}"),
             ("nis_ratio", f"{self.nis_ratio:.3f}"),
             ("nis_deviations", f"{off(faded.nis, faded.dof, faded.nis_variance):.1f}"),
             ("heard_ratio", f"{self.heard_ratio:.3f}"),
@@ -119,7 +119,7 @@ HEALTHY = Health()
 
 
 @dataclass(frozen=True)
-class Signs:
+class SetStatistics:
     """What one set says.
 
     Attributes:
@@ -139,11 +139,11 @@ class Signs:
     odds: float
 
 
-def signs_of(
+def statistics_of(
     associations: Associations,
     measurements: MeasurementSet,
     parameters: FilterParameters,
-) -> Signs:
+) -> SetStatistics:
     """What a set says of the filter.
 
     Args:
@@ -153,7 +153,7 @@ def signs_of(
     """
     signs = np.empty(6)
     used = np.isfinite(measurements.values) & parameters.used_components
-    read_signs(
+    set_statistics(
         associations.ids,
         associations.weight,
         associations.sources,
@@ -163,12 +163,12 @@ def signs_of(
         float(parameters.clutter_mean),
         signs,
     )
-    return Signs(*signs.tolist())
+    return SetStatistics(*signs.tolist())
 
 
 def judge(
     before: Health,
-    signs: Signs,
+    signs: SetStatistics,
     associations: Associations,
     covariance: FloatArray,
     parameters: FilterParameters,
@@ -183,18 +183,18 @@ def judge(
         parameters: of the filter.
     """
     odds = signs.odds if signs.expected >= FEWEST_EXPECTED else min(signs.odds, 0.0)
-    doubt = max(before.doubt + odds, 0.0)
+    cusum = max(before.cusum + odds, 0.0)
     faded = _faded(before.faded, signs, associations, parameters)
     heard = signs.line_of_sight > 0.5
     silence = 0 if heard else before.silence + 1
     position_std = math.sqrt(max(float(covariance[0, 0] + covariance[1, 1]), 0.0))
-    level, reason = _verdict(doubt, faded, silence, position_std, signs, parameters)
+    level, reason = _verdict(cusum, faded, silence, position_std, signs, parameters)
     losses = before.losses + (level == Level.LOST)
-    return Health(level, reason, doubt, faded, silence, position_std, losses)
+    return Health(level, reason, cusum, faded, silence, position_std, losses)
 
 
 def _faded(
-    before: Faded, signs: Signs, associations: Associations, parameters: FilterParameters
+    before: Faded, signs: SetStatistics, associations: Associations, parameters: FilterParameters
 ) -> Faded:
     keep, square = FADING, FADING**2
     return Faded(
@@ -211,17 +211,17 @@ def _faded(
 
 
 def _verdict(
-    doubt: float,
+    cusum: float,
     faded: Faded,
     silence: int,
     position_std: float,
-    signs: Signs,
+    signs: SetStatistics,
     parameters: FilterParameters,
 ) -> tuple[Level, str]:
     came = f"{signs.heard:.1f} of {signs.expected:.1f} expected paths came"
-    if doubt >= LOST_AT:
+    if cusum >= LOST_AT:
         return Level.LOST, f"lost: {came}, what came is not explained"
-    if doubt >= DOUBT_AT:
+    if cusum >= WARN_AT:
         return Level.WARN, f"doubtful: {came}"
     if position_std > parameters.health_position_std:
         return Level.WARN, (

@@ -16,17 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray, wrap_angle
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.core.pmb import FilterParameters, FilterState, Step
-from dopslam_ros.core.pmb.inactive import in_space_now, wake_up
-from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.state import UE, gates
-from dopslam_ros.core.pmb.step import update
-from dopslam_ros.core.monitoring import pose_search_kernels as kernels
-from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
-from dopslam_ros.core.pmb.records import Observed
+from dopslam_ros.core.models.detection import log_clutter_intensity
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.settings.model import log_clutter_intensity
+from dopslam_ros.core.monitoring import pose_search_kernels as kernels
+from dopslam_ros.core.pmb import FilterParameters, FilterState, Step
+from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
+from dopslam_ros.core.pmb.inactive import in_space_now, reactivate
+from dopslam_ros.core.pmb.observed import prepare
+from dopslam_ros.core.pmb.records import Observed
+from dopslam_ros.core.pmb.step import update
+from dopslam_ros.core.settings.filtering import gates
+from dopslam_ros.core.settings.layout import UE, LandmarkType
 
 # Landmarks and types less likely than this are not looked for.
 LIKELY = 0.3
@@ -104,7 +104,7 @@ def fixes(
         prior = -0.5 * away * away - math.log(math.sqrt(2.0 * math.pi) * clock.std)
         prior -= math.log(2.0 * math.pi * AREA)
         volume = 0.5 * float(np.linalg.slogdet(2.0 * math.pi * spreads[n])[1])
-        here = wake_up(placed(base, poses[n], POINT * spreads[n]), parameters)
+        here = reactivate(placed(base, poses[n], POINT * spreads[n]), parameters)
         # The linearisation and the associations are those at the solution, the prior is none.
         wide = placed(here, poses[n], np.diag(np.square(ANYWHERE)))
         step = update(here, wide, observed, speed, parameters, births=False)
@@ -195,21 +195,21 @@ def log_lost(measurements: MeasurementSet, parameters: FilterParameters) -> floa
 
 
 def _known_landmarks(base: FilterState, parameters: FilterParameters) -> _Landmarks:
-    """The BS, the components awake and those asleep, each where it is now."""
+    """The BS, the components active and those inactive, each where it is now."""
     chance = base.existence[base.component_track] * base.component_weight
     likely = chance > LIKELY
-    awake, spread = components_in_space(base.density)
-    position = [parameters.bs[None], awake[likely]]
+    active, spread = components_in_space(base.density)
+    position = [parameters.bs[None], active[likely]]
     covariance = [np.zeros((1, 3, 3)), spread[likely]]
     kind = [np.array([int(LandmarkType.BS)]), base.component_type[likely]]
     chances: Sequence[FloatArray] = [np.ones(1), chance[likely]]
-    sleepers = base.asleep.everybody
-    if sleepers is not None:
-        asleep, spread = in_space_now(base, sleepers)
-        position.append(asleep)
+    inactive_landmarks = base.inactive.everybody
+    if inactive_landmarks is not None:
+        inactive, spread = in_space_now(base, inactive_landmarks)
+        position.append(inactive)
         covariance.append(spread)
-        kind.append(np.full(len(sleepers), int(LandmarkType.SP)))
-        chances = [*chances, sleepers.existence]
+        kind.append(np.full(len(inactive_landmarks), int(LandmarkType.SP)))
+        chances = [*chances, inactive_landmarks.existence]
     heard = max(parameters.detection_probability, 1e-3) * np.concatenate(chances)
     return _Landmarks(
         np.concatenate(position),

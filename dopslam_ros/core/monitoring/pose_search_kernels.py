@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.models.channel_kernels import BS, DIM, VA, observe_source, unit, wrapped
-from dopslam_ros.core.linalg.jit import compiled, part
-from dopslam_ros.core.models.incidence import ray
-from dopslam_ros.core.association.shortest_path import FREE
+from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.linalg.small import backward, cholesky, forward, log_determinant, used_places
+from dopslam_ros.core.models.channel_kernels import observe_source, unit, wrapped
+from dopslam_ros.core.models.incidence import ray
+from dopslam_ros.core.settings.layout import BS, DIM, NONE, VA
 
 UE = 4
 LOG_2PI = math.log(2.0 * math.pi)
@@ -96,7 +96,7 @@ class Room(NamedTuple):
     place: IntArray
 
 
-@part
+@jit
 def room() -> Room:
     """Work space."""
     return Room(
@@ -109,7 +109,7 @@ def room() -> Room:
     )
 
 
-@part
+@jit
 def compare(
     pose: FloatArray, spread: FloatArray, world: World, m: int, heard: Heard, j: int, work: Room
 ) -> int:
@@ -168,7 +168,7 @@ def compare(
     return count
 
 
-@part
+@jit
 def squared(vector: FloatArray, count: int) -> float:
     """Sum of the first squares."""
     total = 0.0
@@ -177,7 +177,7 @@ def squared(vector: FloatArray, count: int) -> float:
     return total
 
 
-@part
+@jit
 def settle(
     pose: FloatArray,
     bias: FloatArray,
@@ -194,7 +194,7 @@ def settle(
         bias: (2,) mean [m] and standard deviation [m] of the clock bias before.
         world: the landmarks.
         heard: the paths.
-        given: (J,) landmark of each path, or FREE.
+        given: (J,) landmark of each path, or NONE.
         spread: (4, 4) result: covariance.
         work: space.
 
@@ -213,7 +213,7 @@ def settle(
         step[3] = (bias[0] - pose[3]) / (bias[1] * bias[1])
         cost = (bias[0] - pose[3]) * step[3]
         for j in range(len(given)):
-            if given[j] == FREE:
+            if given[j] == NONE:
                 continue
             count = compare(pose, nowhere, world, given[j], heard, j, work)
             if count == 0:
@@ -252,7 +252,7 @@ def settle(
     return cost
 
 
-@part
+@jit
 def start_from(world: World, m: int, z: FloatArray, bias: FloatArray, pose: FloatArray) -> bool:
     """The pose (4,) at which a path z (6,) is that of the BS or a VA, or whether there is none.
 
@@ -291,7 +291,7 @@ def start_from(world: World, m: int, z: FloatArray, bias: FloatArray, pose: Floa
     return True
 
 
-@part
+@jit
 def extend(
     pose: FloatArray,
     bias: FloatArray,
@@ -308,7 +308,7 @@ def extend(
         bias: as for ``settle``.
         world: the landmarks.
         heard: the paths.
-        given: (J,) landmark of each path, or FREE; more of them afterwards.
+        given: (J,) landmark of each path, or NONE; more of them afterwards.
         spread: (4, 4) of the pose.
         work: space.
 
@@ -319,15 +319,15 @@ def extend(
     taken = np.zeros(sources, np.bool_)
     number = 0
     for j in range(paths):
-        if given[j] != FREE:
+        if given[j] != NONE:
             taken[given[j]] = True
             number += 1
     gain, best = np.empty(paths), np.empty(paths, np.int64)
     rounds = 0
     while number < paths and rounds < ONE_BY_ONE + ALL_AT_ONCE:
         for j in range(paths):
-            gain[j], best[j] = 0.0, FREE
-            if given[j] != FREE:
+            gain[j], best[j] = 0.0, NONE
+            if given[j] != NONE:
                 continue
             for m in range(sources):
                 if taken[m] or not heard.possible[m, j] or beyond(pose, spread, world, m):
@@ -339,7 +339,7 @@ def extend(
         order = np.argsort(-gain)
         for j in order:
             m = best[j]
-            if m == FREE or taken[m]:
+            if m == NONE or taken[m]:
                 continue
             given[j], taken[m], added = m, True, True
             number += 1
@@ -355,7 +355,7 @@ def extend(
     return total_odds(pose, bias, world, heard, given, spread, work)
 
 
-@part
+@jit
 def drop_misfits(
     pose: FloatArray,
     bias: FloatArray,
@@ -372,24 +372,24 @@ def drop_misfits(
     """
     nowhere = np.zeros((UE, UE))
     while True:
-        worst, most = FREE, 1.0
+        worst, most = NONE, 1.0
         some = False
         for j in range(len(given)):
-            if given[j] == FREE:
+            if given[j] == NONE:
                 continue
             some = True
             count = compare(pose, nowhere, world, given[j], heard, j, work)
             excess = squared(work.v, count) / heard.gate[count] if count > 0 else math.inf
             if excess > most:
                 worst, most = j, excess
-        if worst == FREE:
+        if worst == NONE:
             return some
-        given[worst] = FREE
+        given[worst] = NONE
         if not math.isfinite(settle(pose, bias, world, heard, given, spread, work)):
             return False
 
 
-@part
+@jit
 def beyond(pose: FloatArray, spread: FloatArray, world: World, m: int) -> bool:
     """Whether an SP is out of view, five standard deviations granted."""
     if world.kind[m] == BS or world.kind[m] == VA:
@@ -406,7 +406,7 @@ def beyond(pose: FloatArray, spread: FloatArray, world: World, m: int) -> bool:
     return distance > reach
 
 
-@part
+@jit
 def odds_of(
     pose: FloatArray, spread: FloatArray, world: World, m: int, heard: Heard, j: int, work: Room
 ) -> float:
@@ -420,7 +420,7 @@ def odds_of(
     return density
 
 
-@part
+@jit
 def total_odds(
     pose: FloatArray,
     bias: FloatArray,
@@ -434,7 +434,7 @@ def total_odds(
     nowhere = np.zeros((UE, UE))
     total = 0.0
     for j in range(len(given)):
-        if given[j] != FREE:
+        if given[j] != NONE:
             total += odds_of(pose, nowhere, world, given[j], heard, j, work)
     lower = spread.copy()
     if not cholesky(lower, UE):
@@ -444,7 +444,7 @@ def total_odds(
     return total
 
 
-@compiled
+@from_python
 def locate(
     world: World,
     heard: Heard,
@@ -464,7 +464,7 @@ def locate(
         most: seeds that are followed.
         poses: (N, 4) result, not in order; N is J times the number of BS and VAs at least.
         spreads: (N, 4, 4) result.
-        givens: (N, J) result: landmark of each path, or FREE.
+        givens: (N, J) result: landmark of each path, or NONE.
         odds: (N,) result: ln of the odds against nobody's, up to a constant.
 
     Returns:
@@ -479,7 +479,7 @@ def locate(
             if not start_from(world, m, heard.values[j], bias, poses[count]):
                 continue
             given = givens[count]
-            given.fill(FREE)
+            given.fill(NONE)
             given[j] = m
             cost = settle(poses[count], bias, world, heard, given, spreads[count], work)
             if cost > heard.gate[DIM]:

@@ -15,13 +15,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from dopslam_ros.core.association.assignment import UNASSIGNED
-from dopslam_ros.core.pmb import Associations, FilterParameters, Mixture, MixtureStep, mixture_step
-from dopslam_ros.core.pmb.step import BS_ID, predict
-from dopslam_ros.core.monitoring.health import HEALTHY, Health, Level, judge, signs_of
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
-from dopslam_ros.core.monitoring.pose_search import ANYWHERE, Clock, fixes, log_lost, placed, same_place
+from dopslam_ros.core.monitoring.health import HEALTHY, Health, Level, judge, statistics_of
+from dopslam_ros.core.monitoring.pose_search import (
+    ANYWHERE,
+    Clock,
+    fixes,
+    log_lost,
+    placed,
+    same_place,
+)
+from dopslam_ros.core.pmb import Associations, FilterParameters, Mixture, MixtureStep, mixture_step
+from dopslam_ros.core.pmb.step import predict
+from dopslam_ros.core.settings.layout import BS_ID, NONE
 
 # ln of the odds at which a place is beyond doubt, or not worth to be carried on.
 SURE, HOPELESS = 9.0, 30.0
@@ -66,7 +73,7 @@ class Lost:
 
 
 @dataclass(frozen=True)
-class Watch:
+class Monitor:
     """What is remembered beside the density.
 
     Attributes:
@@ -82,21 +89,21 @@ class Watch:
     lost: Lost | None = None
 
 
-def watch_over(state: Mixture) -> Watch:
+def monitor_of(state: Mixture) -> Monitor:
     """The watch over a density that is taken to be right."""
-    return Watch(state, HEALTHY, state)
+    return Monitor(state, HEALTHY, state)
 
 
-def without_pose(state: Mixture) -> Watch:
+def without_pose(state: Mixture) -> Monitor:
     """The watch over a map in which the vehicle may be anywhere."""
     best = state.best
     nowhere = Mixture((placed(best, best.ue_mean, np.diag(np.square(ANYWHERE))),), np.ones(1))
     reason = "lost: no pose given, to be found from the first sets"
     health = Health(Level.LOST, reason, losses=1)
-    return Watch(nowhere, health, nowhere, Lost(nowhere, trusted=False))
+    return Monitor(nowhere, health, nowhere, Lost(nowhere, trusted=False))
 
 
-def watch_anew(state: Mixture, first: bool, parameters: FilterParameters) -> Watch:
+def monitor_anew(state: Mixture, first: bool, parameters: FilterParameters) -> Monitor:
     """The watch over a density that was put in the place of another.
 
     Args:
@@ -106,16 +113,16 @@ def watch_anew(state: Mixture, first: bool, parameters: FilterParameters) -> Wat
     """
     unknown = first and parameters.initial_pose == "unknown"
     anywhere = state.ue_covariance[0, 0] > 0.5 * ANYWHERE[0] ** 2
-    return without_pose(state) if unknown or anywhere else watch_over(state)
+    return without_pose(state) if unknown or anywhere else monitor_of(state)
 
 
-def watched_step(
-    watch: Watch,
+def monitored_step(
+    watch: Monitor,
     measurements: MeasurementSet,
     spans: Sequence[ControlSpan],
     speed: float,
     parameters: FilterParameters,
-) -> tuple[Watch, MixtureStep]:
+) -> tuple[Monitor, MixtureStep]:
     """A step of the filter, or of the search for the vehicle.
 
     Args:
@@ -132,9 +139,9 @@ def watched_step(
         return _searched(watch, watch.lost, measurements, spans, speed, parameters)
     outcome = mixture_step(watch.state, measurements, spans, speed, parameters)
     weighed = outcome
-    if watch.health.doubt > 0.0:  # against what was expected before there was any doubt
+    if watch.health.cusum > 0.0:  # against what was expected before there was any doubt
         weighed = mixture_step(watch.sound, measurements, spans, speed, parameters)
-    signs = signs_of(weighed.associations, measurements, parameters)
+    signs = statistics_of(weighed.associations, measurements, parameters)
     covariance = outcome.state.ue_covariance
     health = judge(watch.health, signs, outcome.associations, covariance, parameters)
     if health.level == Level.LOST:
@@ -146,19 +153,19 @@ def watched_step(
             speed,
             parameters,
         )
-    doubted = health.doubt > 0.0
+    doubted = health.cusum > 0.0
     sound = _moved(watch.sound, spans, parameters) if doubted else outcome.state
-    return Watch(outcome.state, health, sound), outcome
+    return Monitor(outcome.state, health, sound), outcome
 
 
 def _searched(
-    watch: Watch,
+    watch: Monitor,
     lost: Lost,
     measurements: MeasurementSet,
     spans: Sequence[ControlSpan],
     speed: float,
     parameters: FilterParameters,
-) -> tuple[Watch, MixtureStep]:
+) -> tuple[Monitor, MixtureStep]:
     """A step of the search."""
     reckoned = _moved(lost.reckoned, spans, parameters)
     if not len(measurements):
@@ -182,7 +189,7 @@ def _searched(
         outcome = kept[0].outcome
         reason = f"found again after {lost.sets} sets"
         health = Health(Level.WARN, reason, losses=watch.health.losses)
-        return Watch(outcome.state, health, outcome.state), outcome
+        return Monitor(outcome.state, health, outcome.state), outcome
     return _still_lost(watch, lost, measurements)
 
 
@@ -255,8 +262,8 @@ def _beyond_doubt(candidates: Sequence[Candidate], nothing: float) -> bool:
 
 
 def _still_lost(
-    watch: Watch, lost: Lost, measurements: MeasurementSet
-) -> tuple[Watch, MixtureStep]:
+    watch: Monitor, lost: Lost, measurements: MeasurementSet
+) -> tuple[Monitor, MixtureStep]:
     """What is reported of a lost vehicle: the likeliest place, and that it may be anywhere."""
     base = lost.reckoned.best
     place = lost.candidates[0].outcome.state if lost.candidates else lost.reckoned
@@ -268,12 +275,12 @@ def _still_lost(
     reason = watch.health.reason.partition(";")[0]
     health = replace(watch.health, level=Level.LOST, reason=f"{reason}; {searched}")
     associations = _nothing_known(measurements, lost.log_nothing)
-    return Watch(state, health, lost.reckoned, lost), MixtureStep(state, associations)
+    return Monitor(state, health, lost.reckoned, lost), MixtureStep(state, associations)
 
 
 def _nothing_known(measurements: MeasurementSet, log_evidence: float) -> Associations:
     """No path was given to anything."""
-    nobody = np.full(len(measurements), UNASSIGNED)
+    nobody = np.full(len(measurements), NONE)
     return Associations(
         ids=nobody[None],
         weight=np.ones(1),

@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray, floats, integers
-from dopslam_ros.core.models.channel import DIM, DOPPLER, Paths
-from dopslam_ros.core.pcrb import bounds_kernels as kernels
-from dopslam_ros.core.models.motion_kernels import predict
-from dopslam_ros.core.settings.model import ModelParameters
+from dopslam_ros.core.models.channel import Paths
 from dopslam_ros.core.models.motion import ControlSpan, span_rows
+from dopslam_ros.core.models.motion_kernels import predict
+from dopslam_ros.core.pcrb import bounds_kernels as kernels
+from dopslam_ros.core.settings.layout import DIM, DOPPLER
+from dopslam_ros.core.settings.model import ModelParameters
 
 
 @dataclass(frozen=True)

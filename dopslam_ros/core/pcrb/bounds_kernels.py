@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import compiled, part
-from dopslam_ros.core.pmb.records import UE
+from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.linalg.small import cholesky, forward_columns
+from dopslam_ros.core.settings.layout import UE
 
 # Standard deviation of a landmark before its first path [m]: no information, but invertible.
 DIFFUSE_STD = 1e4
@@ -17,7 +17,7 @@ DIFFUSE_STD = 1e4
 UNLOCATED = 0.1 * DIFFUSE_STD
 
 
-@compiled
+@from_python
 def update(
     covariance: FloatArray,
     known: IntArray,
@@ -72,7 +72,7 @@ def update(
     return after, blocks[:filled].copy(), sound
 
 
-@compiled
+@from_python
 def read_bounds(
     covariance: FloatArray, known: IntArray, ids: IntArray, leb: FloatArray
 ) -> tuple[float, float, float]:
@@ -92,7 +92,7 @@ def read_bounds(
     return peb, math.sqrt(covariance[2, 2]), math.sqrt(covariance[3, 3])
 
 
-@part
+@jit
 def place_of(ids: IntArray, count: int, wanted: int) -> int:
     """Where an id is among the first of ids; count if it is not."""
     for place in range(count):
@@ -101,7 +101,7 @@ def place_of(ids: IntArray, count: int, wanted: int) -> int:
     return count
 
 
-@part
+@jit
 def inform(
     covariance: FloatArray,
     a: FloatArray,
@@ -159,7 +159,7 @@ def inform(
     return after, sound
 
 
-@part
+@jit
 def whiten(
     m: int,
     a: FloatArray,
@@ -199,7 +199,7 @@ def whiten(
     return sound
 
 
-@part
+@jit
 def add_products(rows: FloatArray, n: int, total: FloatArray) -> None:
     """Adds rows' rows, rows (m, n), to the lower triangle of total (n, n)."""
     for k in range(len(rows)):
@@ -210,7 +210,7 @@ def add_products(rows: FloatArray, n: int, total: FloatArray) -> None:
                     total[i, j] += factor * rows[k, j]
 
 
-@part
+@jit
 def factorise(matrix: FloatArray) -> bool:
     """Replaces the lower triangle of (n, n) by its Cholesky factor, column by column.
 

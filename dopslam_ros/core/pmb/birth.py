@@ -10,12 +10,22 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
-from dopslam_ros.core.models.channel_kernels import DIM, SP, VA, observe_source, unit, wrapped
-from dopslam_ros.core.linalg.jit import part
-from dopslam_ros.core.models.detection_kernels import apart, detection_probability, log_share_left
+from dopslam_ros.core.linalg.jit import jit
+from dopslam_ros.core.linalg.small import (
+    backward,
+    cholesky,
+    forward,
+    forward_columns,
+    log_determinant,
+    solve_bordered,
+)
+from dopslam_ros.core.models.channel_kernels import observe_source, unit, wrapped
+from dopslam_ros.core.models.detection_kernels import detection_probability, distance_between
 from dopslam_ros.core.models.incidence import incidence_points, to_virtual_anchor
-from dopslam_ros.core.pmb.records import UE, Births, Constants, Density, Observed
-from dopslam_ros.core.linalg.small import backward, cholesky, forward, forward_columns, log_determinant, solve_bordered
+from dopslam_ros.core.pmb.records import Births, Density, Observed
+from dopslam_ros.core.pmb.undetected_kernels import log_share_left
+from dopslam_ros.core.settings.filtering import Constants
+from dopslam_ros.core.settings.layout import DIM, SP, UE, VA
 
 GAUSS_NEWTON_STEPS = 6
 # A step of less than this many standard deviations changes nothing any more.
@@ -27,7 +37,7 @@ FLAT_WEIGHT = 1e-12
 LOG_2PI = math.log(2.0 * math.pi)
 
 
-@part
+@jit
 def propose(density: Density, observed: Observed, speed: float, constants: Constants) -> Births:
     """Fits a landmark of each type to each path, the vehicle being uncertain.
 
@@ -103,12 +113,12 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
     return births
 
 
-@part
+@jit
 def log_undetected(
     density: Density, position: FloatArray, kind: int, blur: float, constants: Constants
 ) -> float:
     """ln (lambda p_D) at a place (3,) [m], of a type, with a std of the distance [m]."""
-    distance = apart(density.mean[0], density.mean[1], constants.ue_height, position)
+    distance = distance_between(density.mean[0], density.mean[1], constants.ue_height, position)
     seen = detection_probability(kind, distance, blur, constants.probability, constants.sight)
     if not seen > 0.0:
         return -math.inf
@@ -125,7 +135,7 @@ def log_undetected(
     return constants.log_undetected + share + math.log(seen)
 
 
-@part
+@jit
 def fit(
     ue: FloatArray,
     ue_covariance: FloatArray,
@@ -184,7 +194,7 @@ def fit(
     return facing
 
 
-@part
+@jit
 def linearise(
     ue_covariance: FloatArray,
     z: FloatArray,
@@ -243,7 +253,7 @@ def linearise(
     return True
 
 
-@part
+@jit
 def add_prior(height_mean: float, height_std: float, height: float, normal: FloatArray) -> None:
     """Adds the prior of a position at some height [m] to its normal equations (4, 4)."""
     weight, off = 1.0 / (height_std * height_std), height_mean - height
@@ -254,7 +264,7 @@ def add_prior(height_mean: float, height_std: float, height: float, normal: Floa
     normal[3, 3] += weight * off * off
 
 
-@part
+@jit
 def spread_out(
     a: FloatArray,
     root: FloatArray,
@@ -303,7 +313,7 @@ def spread_out(
     return variance < LARGEST_STD * LARGEST_STD
 
 
-@part
+@jit
 def laplace(root: FloatArray, normal: FloatArray, used: BoolArray) -> float:
     """ln of the integral of the likelihood and the prior over the position.
 
@@ -324,7 +334,7 @@ def laplace(root: FloatArray, normal: FloatArray, used: BoolArray) -> float:
     return 0.5 * (volume - mismatch)
 
 
-@part
+@jit
 def distance_std(
     ue: FloatArray, ue_height: float, position: FloatArray, covariance: FloatArray
 ) -> float:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dopslam_ros.core.pmb.state import FilterParameters, FilterState
+from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.pmb import birth
-from dopslam_ros.core.linalg.jit import exposed
 from dopslam_ros.core.pmb.records import Births, Observed
+from dopslam_ros.core.pmb.state import FilterState
+from dopslam_ros.core.settings.filtering import FilterParameters
 
-_propose = exposed(birth.propose)
+_propose = from_python(birth.propose)
 
 
 def propose(

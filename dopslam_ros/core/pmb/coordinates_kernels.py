@@ -7,15 +7,16 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
+from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.models.channel_kernels import SMALLEST_DISTANCE, unit
-from dopslam_ros.core.linalg.jit import compiled, part
-from dopslam_ros.core.pmb.records import UE, Density
+from dopslam_ros.core.pmb.records import Density
+from dopslam_ros.core.settings.layout import UE
 
 # A first axis that is this upright or more needs another helper than the vertical.
 UPRIGHT = 0.9
 
 
-@compiled
+@from_python
 def frames(offset: FloatArray, axes: FloatArray) -> None:
     """Axes (M, 3, 3) whose first columns point along offsets (M, 3), or along x for no offset."""
     for m in range(len(offset)):
@@ -30,7 +31,7 @@ def frames(offset: FloatArray, axes: FloatArray) -> None:
         own[0, 2], own[1, 2], own[2, 2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
-@part
+@jit
 def place(origin: FloatArray, axes: FloatArray, q: FloatArray, position: FloatArray) -> None:
     """Writes the position (3,) of the landmark q (3,) in the frame origin (3,), axes (3, 3)."""
     reach = q[0] / math.sqrt(1.0 + q[1] * q[1] + q[2] * q[2])
@@ -38,14 +39,14 @@ def place(origin: FloatArray, axes: FloatArray, q: FloatArray, position: FloatAr
         position[i] = origin[i] + reach * (axes[i, 0] + axes[i, 1] * q[1] + axes[i, 2] * q[2])
 
 
-@compiled
+@from_python
 def positions(origin: FloatArray, axes: FloatArray, q: FloatArray, position: FloatArray) -> None:
     """``place`` for M landmarks: (M, 3), (M, 3, 3), (M, 3); position (M, 3) is written."""
     for m in range(len(q)):
         place(origin[m], axes[m], q[m], position[m])
 
 
-@compiled
+@from_python
 def placements(origin: FloatArray, axes: FloatArray, position: FloatArray, q: FloatArray) -> None:
     """Writes q (M, 3) of positions (M, 3): the inverse of ``positions``.
 
@@ -66,7 +67,7 @@ def placements(origin: FloatArray, axes: FloatArray, position: FloatArray, q: Fl
         q[m, 2] = (own[0, 2] * dx + own[1, 2] * dy + own[2, 2] * dz) / ahead
 
 
-@part
+@jit
 def place_jacobian(axes: FloatArray, q: FloatArray, jacobian: FloatArray) -> None:
     """Writes the derivative (3, 3) of the position of q (3,) by q, in a frame with axes (3, 3)."""
     length = math.sqrt(1.0 + q[1] * q[1] + q[2] * q[2])
@@ -79,14 +80,14 @@ def place_jacobian(axes: FloatArray, q: FloatArray, jacobian: FloatArray) -> Non
         jacobian[i, 2] = reach * (axes[i, 2] - along * r2)
 
 
-@compiled
+@from_python
 def jacobians(axes: FloatArray, q: FloatArray, jacobian: FloatArray) -> None:
     """``place_jacobian`` for M landmarks: (M, 3, 3), (M, 3); jacobian (M, 3, 3) is written."""
     for m in range(len(q)):
         place_jacobian(axes[m], q[m], jacobian[m])
 
 
-@compiled
+@from_python
 def in_space(
     origin: FloatArray, axes: FloatArray, q: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -109,7 +110,7 @@ def in_space(
     return position, spread
 
 
-@compiled
+@from_python
 def components_in_space(density: Density) -> tuple[FloatArray, FloatArray]:
     """``in_space`` for the C components of a density."""
     count = len(density.component_track)
@@ -124,7 +125,7 @@ def components_in_space(density: Density) -> tuple[FloatArray, FloatArray]:
     return position, spread
 
 
-@part
+@jit
 def transform(jacobian: FloatArray, covariance: FloatArray, at: int, spread: FloatArray) -> None:
     """Writes J P J' into spread (3, 3), P the block of a covariance that begins at an index."""
     for i in range(3):

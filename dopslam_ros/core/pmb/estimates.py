@@ -7,10 +7,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.core.pmb.inactive import in_space_now
-from dopslam_ros.core.pmb.state import FilterParameters, FilterState
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
+from dopslam_ros.core.pmb.inactive import in_space_now
+from dopslam_ros.core.pmb.state import FilterState
+from dopslam_ros.core.settings.filtering import FilterParameters
+from dopslam_ros.core.settings.layout import LandmarkType
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def reported_landmarks(state: FilterState, parameters: FilterParameters) -> Land
     order = np.argsort(state.component_weight, kind="stable")
     best[state.component_track[order]] = order
     position, covariance = components_in_space(state.density)
-    awake = LandmarkEstimates(
+    active = LandmarkEstimates(
         ids=state.track_id,
         types=state.component_type[best],
         type_probabilities=probabilities,
@@ -55,7 +56,7 @@ def reported_landmarks(state: FilterState, parameters: FilterParameters) -> Land
         positions=position[best],
         covariances=covariance[best],
     )
-    everything = _together(awake, _out_of_view(state))
+    everything = _together(active, _out_of_view(state))
     spread = np.sqrt(np.trace(everything.covariances, axis1=1, axis2=2))
     shown = (everything.existence >= parameters.report_existence) & (
         spread <= parameters.report_std
@@ -65,16 +66,16 @@ def reported_landmarks(state: FilterState, parameters: FilterParameters) -> Land
 
 
 def _out_of_view(state: FilterState) -> LandmarkEstimates | None:
-    sleepers = state.asleep.everybody
-    if sleepers is None:
+    inactive_landmarks = state.inactive.everybody
+    if inactive_landmarks is None:
         return None
-    position, covariance = in_space_now(state, sleepers)
-    types = np.full(len(sleepers), int(LandmarkType.SP))
+    position, covariance = in_space_now(state, inactive_landmarks)
+    types = np.full(len(inactive_landmarks), int(LandmarkType.SP))
     return LandmarkEstimates(
-        ids=sleepers.track_id,
+        ids=inactive_landmarks.track_id,
         types=types,
         type_probabilities=np.eye(len(LandmarkType))[types],
-        existence=sleepers.existence,
+        existence=inactive_landmarks.existence,
         positions=position,
         covariances=covariance,
     )

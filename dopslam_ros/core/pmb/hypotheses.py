@@ -7,11 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.association.murty import insert, k_best
-from dopslam_ros.core.linalg.jit import part, part_of_one
-from dopslam_ros.core.association.shortest_path import FREE
-from dopslam_ros.core.pmb.records import Births, Constants, Density, Evidence, Hypotheses, LocalWeights, Observed
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
+from dopslam_ros.core.linalg.jit import jit, jit_inline
+from dopslam_ros.core.pmb.records import (
+    Births,
+    Density,
+    Hypotheses,
+    Likelihoods,
+    LocalWeights,
+    Observed,
+)
+from dopslam_ros.core.settings.filtering import Constants
+from dopslam_ros.core.settings.layout import NONE
 
 # A type with less than this share of a detection gets no hypothesis of its own.
 SMALLEST_SHARE = 1e-3
@@ -23,24 +31,24 @@ LOG_TINY = -700.0
 LOG_SMALLEST = -math.log(SMALLEST_SHARE)
 
 
-@part
+@jit
 def log_add(a: float, b: float) -> float:
     """ln(e^a + e^b); either may be -inf."""
     high, low = max(a, b), min(a, b)
     return high if low == -math.inf else high + math.log1p(math.exp(low - high))
 
 
-@part
+@jit
 def log_of(value: float, least: float) -> float:
     """ln(value), but not less than ``least``."""
     return max(math.log(value), least) if value > 0.0 else least
 
 
-@part_of_one
+@jit_inline
 def weigh_locally(
     density: Density,
     observed: Observed,
-    evidence: Evidence,
+    evidence: Likelihoods,
     births: Births,
     constants: Constants,
 ) -> LocalWeights:
@@ -87,7 +95,7 @@ class Choices(NamedTuple):
     Attributes:
         number: (J,) how many.
         cost: (J, n) -ln of their share in the path's track.
-        source: (J, n) or FREE.
+        source: (J, n) or NONE.
     """
 
     number: IntArray
@@ -103,7 +111,7 @@ class Kept(NamedTuple):
         cost: (H,) -ln of their weights, ascending.
         ticket: (H,) which of the following a cost belongs to.
         association: (H,) of which it is a part.
-        source: (H, J) of each path, or FREE.
+        source: (H, J) of each path, or NONE.
     """
 
     found: IntArray
@@ -113,7 +121,7 @@ class Kept(NamedTuple):
     source: IntArray
 
 
-@part
+@jit
 def choose(
     columns: IntArray,
     source: FloatArray,
@@ -124,7 +132,7 @@ def choose(
     """Fills in the choices of an association: of few paths, those whose second is the likeliest.
 
     Args:
-        columns: (J,) the track of each path, or FREE.
+        columns: (J,) the track of each path, or NONE.
         source: (C + 1, J) as in LocalWeights.
         track: (T + 1, J) as in LocalWeights.
         first: (T + 2,) the sources of track t are first[t] ... first[t + 1] - 1.
@@ -136,10 +144,10 @@ def choose(
         count = choices.number[j : j + 1]
         count[0] = 0
         t = columns[j]
-        if t == FREE:
+        if t == NONE:
             count[0] = 1
             choices.cost[j, 0] = 0.0
-            choices.source[j, 0] = FREE
+            choices.source[j, 0] = NONE
             continue
         for s in range(first[t + 1] - 1, first[t] - 1, -1):
             insert(choices.cost[j], choices.source[j], count, track[t, j] - source[s, j], s)
@@ -155,7 +163,7 @@ def choose(
             choices.number[j] = 1
 
 
-@part
+@jit
 def keep_best(association: int, cost: float, choices: Choices, kept: Kept) -> None:
     """Adds an association once per combination of its choices, where there is room for it."""
     paths, size = len(choices.number), len(kept.cost)
@@ -179,7 +187,7 @@ def keep_best(association: int, cost: float, choices: Choices, kept: Kept) -> No
             digit[turn] += 1
 
 
-@part
+@jit
 def normalised(columns: IntArray, kept: Kept) -> tuple[IntArray, IntArray, FloatArray, float]:
     """The hypotheses kept of associations (A, J), as ``split_by_type`` returns them."""
     count, paths = kept.found[0], columns.shape[1]
@@ -198,7 +206,7 @@ def normalised(columns: IntArray, kept: Kept) -> tuple[IntArray, IntArray, Float
     return track, source, weight, math.log(total) - kept.cost[0] if count > 0 else -math.inf
 
 
-@part
+@jit
 def split_by_type(
     columns: IntArray,
     costs: FloatArray,
@@ -210,7 +218,7 @@ def split_by_type(
     """The gamma best hypotheses: associations, each as often as its landmarks may differ in type.
 
     Args:
-        columns: (A, J) the track of each path in each association, 0 the BS, or FREE.
+        columns: (A, J) the track of each path in each association, 0 the BS, or NONE.
         costs: (A,) -ln of their weights, ascending.
         component_track: (C,) track of each component, ascending.
         source: (C + 1, J) as in LocalWeights.
@@ -248,7 +256,7 @@ def split_by_type(
     return normalised(columns, kept)
 
 
-@part_of_one
+@jit_inline
 def associate(component_track: IntArray, weights: LocalWeights, gamma: int) -> Hypotheses:
     """The gamma best associations, those with landmarks of open type split by type.
 
@@ -267,7 +275,7 @@ def associate(component_track: IntArray, weights: LocalWeights, gamma: int) -> H
             cost[j, t] = weights.missed[t] - weights.track[t, j]
     columns, costs = k_best(cost, -weights.new, gamma)
     if len(costs) == 0:  # what is not a number cannot be ranked
-        columns, costs, missed = np.full((1, paths), FREE), np.zeros(1), math.nan
+        columns, costs, missed = np.full((1, paths), NONE), np.zeros(1), math.nan
     track, source, weight, log_sum = split_by_type(
         columns, costs, component_track, weights.source, weights.track, gamma
     )

@@ -2,7 +2,7 @@
 
 A landmark that cannot be detected learns only through what it has in common with the rest. Of that,
 nearly all goes through the virtual anchors, which stay in view: given them, an SP that was left
-behind and the vehicle of later hardly depend on each other. So a landmark that falls asleep keeps
+behind and the vehicle of later hardly depend on each other. So a landmark that becomes inactive keeps
 its regression on the anchors,
 
     q = q_then + gain (anchor_q - anchor_q_then) + noise of covariance ``residual``,
@@ -20,12 +20,13 @@ from dataclasses import replace
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray, block_indices, symmetrise
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.core.pmb.inactive_grid import Sleepers
-from dopslam_ros.core.pmb.state import UE, FilterParameters, FilterState
 from dopslam_ros.core.pmb import inactive_kernels as kernels
-from dopslam_ros.core.pmb.inactive_kernels import MARGIN, left_behind
 from dopslam_ros.core.pmb.coordinates_kernels import in_space
+from dopslam_ros.core.pmb.inactive_grid import InactiveLandmarks
+from dopslam_ros.core.pmb.inactive_kernels import MARGIN, left_behind
+from dopslam_ros.core.pmb.state import FilterState
+from dopslam_ros.core.settings.filtering import FilterParameters
+from dopslam_ros.core.settings.layout import UE, LandmarkType
 
 # Only virtual anchors that surely are what they are carry others.
 SURE = 0.999
@@ -35,31 +36,31 @@ FORGOTTEN = 0.05
 SMALLEST_CELL = 1.0
 
 
-def fall_asleep(state: FilterState, parameters: FilterParameters) -> FilterState:
+def deactivate(state: FilterState, parameters: FilterParameters) -> FilterState:
     """Puts SPs aside that the vehicle has left behind."""
     reach, leaving = left_behind(state.density, float(parameters.sp_field_of_view))
     if not leaving.any():
         return state
-    asleep = state.asleep
+    inactive = state.inactive
     least = FORGOTTEN if parameters.mapping else 0.0
     remembered = np.flatnonzero((leaving & (state.existence >= least))[state.component_track])
     if len(remembered):
-        sleepers = _sleepers(state, remembered, reach[remembered])
-        asleep = asleep.with_more(sleepers, _cell_size(parameters))
-    awake = state.only(~leaving[state.component_track], ~leaving)
-    return replace(awake, asleep=asleep)
+        inactive_landmarks = _inactive_landmarks(state, remembered, reach[remembered])
+        inactive = inactive.with_more(inactive_landmarks, _cell_size(parameters))
+    active = state.only(~leaving[state.component_track], ~leaving)
+    return replace(active, inactive=inactive)
 
 
-def wake_up(state: FilterState, parameters: FilterParameters) -> FilterState:
+def reactivate(state: FilterState, parameters: FilterParameters) -> FilterState:
     """Takes those back that may be detected from where the vehicle is."""
-    if not state.asleep.cells:
+    if not state.inactive.cells:
         return state
-    found, asleep = state.asleep.take(state.ue_mean[:2], _blur(state), _cell_size(parameters))
+    found, inactive = state.inactive.take(state.ue_mean[:2], _blur(state), _cell_size(parameters))
     if found is None:
         return state
     count, tracks = len(found), len(state.track_id)
-    mean, covariance = kernels.woken(state.density, found.regressions)
-    awake = state.but(
+    mean, covariance = kernels.reactivated(state.density, found.regressions)
+    active = state.but(
         mean=mean,
         covariance=covariance,
         origin=np.concatenate([state.origin, found.origin]),
@@ -70,17 +71,23 @@ def wake_up(state: FilterState, parameters: FilterParameters) -> FilterState:
         track_id=np.append(state.track_id, found.track_id),
         existence=np.append(state.existence, found.existence),
     )
-    return replace(awake, asleep=asleep)
+    return replace(active, inactive=inactive)
 
 
-def as_of_now(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, FloatArray]:
-    """(N, 3) placements and (N, 3, 3) covariances of sleepers, as the anchors have it now."""
-    return kernels.as_of_now(state.density, sleepers.regressions)
+def as_of_now(
+    state: FilterState, inactive_landmarks: InactiveLandmarks
+) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) placements and (N, 3, 3) covariances of inactive landmarks, by the anchors of now."""
+    return kernels.as_of_now(state.density, inactive_landmarks.regressions)
 
 
-def in_space_now(state: FilterState, sleepers: Sleepers) -> tuple[FloatArray, FloatArray]:
-    """(N, 3) positions [m] and (N, 3, 3) covariances of sleepers, as the anchors have it now."""
-    return in_space(sleepers.origin, sleepers.axes, *as_of_now(state, sleepers))
+def in_space_now(
+    state: FilterState, inactive_landmarks: InactiveLandmarks
+) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) positions [m] and (N, 3, 3) covariances of inactive landmarks, by the anchors of now."""
+    return in_space(
+        inactive_landmarks.origin, inactive_landmarks.axes, *as_of_now(state, inactive_landmarks)
+    )
 
 
 def _blur(state: FilterState) -> float:
@@ -98,7 +105,9 @@ def _anchors(state: FilterState) -> IntArray:
     return np.flatnonzero(sure & (state.component_type == LandmarkType.VA))
 
 
-def _sleepers(state: FilterState, components: IntArray, reach: FloatArray) -> Sleepers:
+def _inactive_landmarks(
+    state: FilterState, components: IntArray, reach: FloatArray
+) -> InactiveLandmarks:
     """Components, the only ones of their tracks, as they are put aside."""
     anchors = _anchors(state)
     count = len(components)
@@ -111,7 +120,7 @@ def _sleepers(state: FilterState, components: IntArray, reach: FloatArray) -> Sl
     covariance = state.placement_covariances[components]
     explained = gain.reshape(count, 3, -1) @ np.swapaxes(cross.reshape(count, 3, -1), 1, 2)
     track = state.component_track[components]
-    return Sleepers(
+    return InactiveLandmarks(
         track_id=state.track_id[track],
         existence=state.existence[track],
         reach=reach,

@@ -18,17 +18,17 @@ CellIndex = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Sleepers:
+class InactiveLandmarks:
     """N scattering points and how they hang on A anchors, unused ones with id 0 and gain 0.
 
     Attributes:
         track_id: (N,).
         existence: (N,).
-        reach: (N,) distance of the vehicle at which they must be awake [m].
-        position: (N, 3) when they fell asleep [m].
+        reach: (N,) distance of the vehicle at which they must be active [m].
+        position: (N, 3) when they became inactive [m].
         origin: (N, 3) of their frames [m].
         axes: (N, 3, 3).
-        q: (N, 3) placements when they fell asleep.
+        q: (N, 3) placements when they became inactive.
         covariance: (N, 3, 3) of q then.
         anchors: (N, A) track ids of the virtual anchors they hang on.
         anchor_q: (N, 3 A) placements of the anchors then.
@@ -59,16 +59,16 @@ class Sleepers:
             self.anchors, self.anchor_q, self.gain, self.q, self.covariance, self.residual
         )
 
-    def rows(self, which: IntArray) -> Sleepers:
+    def rows(self, which: IntArray) -> InactiveLandmarks:
         """Some of them."""
-        return Sleepers(*(getattr(self, part.name)[which] for part in fields(self)))
+        return InactiveLandmarks(*(getattr(self, part.name)[which] for part in fields(self)))
 
-    def hanging_on(self, count: int) -> Sleepers:
+    def hanging_on(self, count: int) -> InactiveLandmarks:
         """The same with room for ``count`` anchors."""
         more = count - self.anchors.shape[1]
         if more <= 0:
             return self
-        return Sleepers(
+        return InactiveLandmarks(
             **{
                 **{part.name: getattr(self, part.name) for part in fields(self)},
                 "anchors": np.pad(self.anchors, [(0, 0), (0, more)]),
@@ -78,75 +78,80 @@ class Sleepers:
         )
 
 
-def together(parts: Sequence[Sleepers]) -> Sleepers:
+def together(parts: Sequence[InactiveLandmarks]) -> InactiveLandmarks:
     """All of them, one after the other."""
     most = max(part.anchors.shape[1] for part in parts)
     alike = [part.hanging_on(most) for part in parts]
-    return Sleepers(
-        *(np.concatenate([getattr(p, part.name) for p in alike]) for part in fields(Sleepers))
+    return InactiveLandmarks(
+        *(
+            np.concatenate([getattr(p, part.name) for p in alike])
+            for part in fields(InactiveLandmarks)
+        )
     )
 
 
 @dataclass(frozen=True)
-class Asleep:
-    """Sleepers by the cell of the ground they are in.
+class InactiveGrid:
+    """InactiveLandmarks by the cell of the ground they are in.
 
     Attributes:
-        cells: the sleepers of each cell that has some.
+        cells: the inactive landmarks of each cell that has some.
         widest: the largest reach of any that ever were here [m].
     """
 
-    cells: Mapping[CellIndex, Sleepers] = field(default_factory=dict)
+    cells: Mapping[CellIndex, InactiveLandmarks] = field(default_factory=dict)
     widest: float = 0.0
 
     def __len__(self) -> int:
         return sum(map(len, self.cells.values()))
 
     @cached_property
-    def everybody(self) -> Sleepers | None:
-        """All sleepers, or None."""
+    def everybody(self) -> InactiveLandmarks | None:
+        """All inactive landmarks, or None."""
         return together(list(self.cells.values())) if self.cells else None
 
-    def with_more(self, sleepers: Sleepers, size: float) -> Asleep:
+    def with_more(self, inactive_landmarks: InactiveLandmarks, size: float) -> InactiveGrid:
         """With some more of them.
 
         Args:
-            sleepers: to add.
+            inactive_landmarks: to add.
             size: of a cell [m]; always the same.
         """
         cells = dict(self.cells)
-        place = np.floor(sleepers.position[:, :2] / size).astype(np.int64)
+        place = np.floor(inactive_landmarks.position[:, :2] / size).astype(np.int64)
         for index in {(int(x), int(y)) for x, y in place}:
-            mine = sleepers.rows(np.flatnonzero((place == index).all(axis=1)))
+            mine = inactive_landmarks.rows(np.flatnonzero((place == index).all(axis=1)))
             cells[index] = together([cells[index], mine]) if index in cells else mine
-        return Asleep(cells, max(self.widest, float(sleepers.reach.max())))
+        return InactiveGrid(cells, max(self.widest, float(inactive_landmarks.reach.max())))
 
-    def take(self, ue: FloatArray, blur: float, size: float) -> tuple[Sleepers | None, Asleep]:
-        """Those that must be awake, or None, and the rest.
+    def take(
+        self, ue: FloatArray, blur: float, size: float
+    ) -> tuple[InactiveLandmarks | None, InactiveGrid]:
+        """Those that must be active, or None, and the rest.
 
         Args:
             ue: (2,) the vehicle [m].
             blur: added to every reach [m].
             size: of a cell [m].
         """
-        cells: dict[CellIndex, Sleepers] | None = None
+        cells: dict[CellIndex, InactiveLandmarks] | None = None
         found = []
         for index in self._indices(ue, self.widest + blur, size):
-            sleepers = self.cells.get(index)
-            if sleepers is None:
+            inactive_landmarks = self.cells.get(index)
+            if inactive_landmarks is None:
                 continue
-            near = kernels.near(sleepers.position, sleepers.reach, ue, blur)
+            near = kernels.near(inactive_landmarks.position, inactive_landmarks.reach, ue, blur)
             if not near.any():
                 continue
             cells = dict(self.cells) if cells is None else cells
-            found.append(sleepers.rows(np.flatnonzero(near)))
+            found.append(inactive_landmarks.rows(np.flatnonzero(near)))
             if near.all():
                 del cells[index]
             else:
-                cells[index] = sleepers.rows(np.flatnonzero(~near))
+                cells[index] = inactive_landmarks.rows(np.flatnonzero(~near))
         if cells is None:
             return None, self
-        return together(found), Asleep(cells, self.widest)
+        return together(found), InactiveGrid(cells, self.widest)
 
     def _indices(self, ue: FloatArray, far: float, size: float) -> list[CellIndex]:
         """Cells of the square of half width ``far``, or all there are where these are fewer."""

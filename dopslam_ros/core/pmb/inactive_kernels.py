@@ -7,18 +7,18 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
-from dopslam_ros.core.models.channel_kernels import SP, VA
-from dopslam_ros.core.linalg.jit import compiled, part
+from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
-from dopslam_ros.core.pmb.records import NONE, UE, Density, Regressions
+from dopslam_ros.core.pmb.records import Density, Regressions
+from dopslam_ros.core.settings.layout import NONE, SP, UE, VA
 
 # Standard deviations beyond the field of view at which a detection is out of the question.
 MARGIN = 5.0
-# A landmark falls asleep this share of the field of view farther away than it wakes up.
+# A landmark becomes inactive this share of the field of view farther away than it wakes up.
 HYSTERESIS = 0.1
 
 
-@part
+@jit
 def some_left_behind(density: Density, view: float) -> bool:
     """Whether there is any track that ``left_behind`` finds."""
     _, leaving = left_behind(density, view)
@@ -28,7 +28,7 @@ def some_left_behind(density: Density, view: float) -> bool:
     return False
 
 
-@compiled
+@from_python
 def left_behind(density: Density, view: float) -> tuple[FloatArray, BoolArray]:
     """Tracks of which every component is an SP too far away to be detected.
 
@@ -37,7 +37,7 @@ def left_behind(density: Density, view: float) -> tuple[FloatArray, BoolArray]:
         view: the field of view [m].
 
     Returns:
-        (C,) the distance at which the components must be awake again [m], and (T,) which tracks
+        (C,) the distance at which the components must be active again [m], and (T,) which tracks
         are left behind.
     """
     mean, covariance = density.mean, density.covariance
@@ -55,7 +55,7 @@ def left_behind(density: Density, view: float) -> tuple[FloatArray, BoolArray]:
     return reach, leaving
 
 
-@compiled
+@from_python
 def near(position: FloatArray, reach: FloatArray, ue: FloatArray, blur: float) -> BoolArray:
     """(N,) which places (N, 3) [m] are within their reach (N,) [m] and the blur of ue (2,) [m]."""
     found = np.empty(len(reach), np.bool_)
@@ -65,9 +65,9 @@ def near(position: FloatArray, reach: FloatArray, ue: FloatArray, blur: float) -
     return found
 
 
-@compiled
+@from_python
 def as_of_now(density: Density, hanging: Regressions) -> tuple[FloatArray, FloatArray]:
-    """N sleepers as their anchors have it now.
+    """N inactive landmarks as their anchors have it now.
 
     Returns:
         (N, 3) placements and (N, 3, 3) their covariances.
@@ -86,9 +86,9 @@ def as_of_now(density: Density, hanging: Regressions) -> tuple[FloatArray, Float
     return places, spreads
 
 
-@compiled
-def woken(density: Density, hanging: Regressions) -> tuple[FloatArray, FloatArray]:
-    """Mean (n + 3 N,) and covariance of the joint vector with N sleepers behind the rest."""
+@from_python
+def reactivated(density: Density, hanging: Regressions) -> tuple[FloatArray, FloatArray]:
+    """Mean (n + 3 N,) and covariance of the joint vector with N inactive landmarks appended."""
     n, size = len(density.mean), len(density.mean) + 3 * len(hanging.q)
     mean, joint = np.empty(size), np.empty((size, size))
     for i in range(n):
@@ -115,15 +115,15 @@ def woken(density: Density, hanging: Regressions) -> tuple[FloatArray, FloatArra
     return mean, joint
 
 
-@part
+@jit
 def regress(
     density: Density, hanging: Regressions, s: int, rows: FloatArray, place: FloatArray
 ) -> bool:
-    """How a sleeper depends on the joint vector; not at all where it has lost an anchor.
+    """How an inactive landmark depends on the joint vector; not at all where it has lost an anchor.
 
     Args:
         density: as it is now.
-        hanging: of all sleepers.
+        hanging: of all inactive_landmarks.
         s: which of them.
         rows: (3, n) result: dq / d joint vector.
         place: (3,) result: q now.
@@ -151,7 +151,7 @@ def regress(
     return True
 
 
-@part
+@jit
 def column_of(density: Density, anchor: int) -> int:
     """Where in the joint vector the virtual anchor with an id is, or NONE."""
     for c in range(len(density.component_type)):
@@ -161,7 +161,7 @@ def column_of(density: Density, anchor: int) -> int:
     return NONE
 
 
-@part
+@jit
 def multiply(rows: FloatArray, covariance: FloatArray, product: FloatArray) -> None:
     """product (m, n) = rows (m, n) covariance (n, n); few of the rows' numbers are not zero."""
     product.fill(0.0)
@@ -172,7 +172,7 @@ def multiply(rows: FloatArray, covariance: FloatArray, product: FloatArray) -> N
                     product[i, j] += rows[i, k] * covariance[k, j]
 
 
-@part
+@jit
 def inner(one: FloatArray, other: FloatArray) -> float:
     """The inner product of two vectors (n,)."""
     total = 0.0

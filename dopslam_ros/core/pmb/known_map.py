@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dopslam_ros.core.pmb.state import UE, FilterParameters, FilterState
 from dopslam_ros.core.pmb.merge import uncouple
+from dopslam_ros.core.pmb.state import FilterState
+from dopslam_ros.core.settings.filtering import FilterParameters
+from dopslam_ros.core.settings.layout import UE
 
 
 def map_of(state: FilterState) -> FilterState:

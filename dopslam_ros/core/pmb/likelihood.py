@@ -7,19 +7,20 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
-from dopslam_ros.core.models.channel import AZIMUTHS, DIM
-from dopslam_ros.core.models.channel_kernels import BS, observe_source, unit, wrapped
-from dopslam_ros.core.linalg.jit import compiled, part, part_of_one
+from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
+from dopslam_ros.core.linalg.small import cholesky, forward, log_determinant, used_places
+from dopslam_ros.core.models.channel_kernels import observe_source, unit, wrapped
 from dopslam_ros.core.models.detection_kernels import detection_probability
 from dopslam_ros.core.pmb.coordinates_kernels import place, place_jacobian
-from dopslam_ros.core.pmb.records import UE, Constants, Density, Evidence, Observed
-from dopslam_ros.core.linalg.small import cholesky, forward, log_determinant, used_places
+from dopslam_ros.core.pmb.records import Density, Likelihoods, Observed
+from dopslam_ros.core.settings.filtering import Constants
+from dopslam_ros.core.settings.layout import AZIMUTHS, BS, DIM, UE
 
 LOG_2PI = math.log(2.0 * math.pi)
 ARRIVAL, DEPARTURE = AZIMUTHS
 
 
-@compiled
+@from_python
 def prepare(
     values: FloatArray,
     covariances: FloatArray,
@@ -53,10 +54,10 @@ def prepare(
     return Observed(kept, used, noise)
 
 
-@part_of_one
+@jit_inline
 def weigh(
     density: Density, observed: Observed, speed: float, constants: Constants
-) -> tuple[Evidence, bool]:
+) -> tuple[Likelihoods, bool]:
     """Local likelihoods N(z_j; h_i, S_i) with S = A P A' + B P B' + cross terms + R.
 
     Args:
@@ -69,7 +70,7 @@ def weigh(
         The evidence, and whether all covariances were positive definite.
     """
     sources, paths = len(density.component_type) + 1, len(observed.values)
-    evidence = Evidence(
+    evidence = Likelihoods(
         np.empty((sources, DIM, UE)),
         np.empty((sources, DIM, 3)),
         np.empty(sources),
@@ -91,12 +92,12 @@ def weigh(
     return evidence, sound
 
 
-@part_of_one
+@jit_inline
 def look_at_sources(
     density: Density,
     speed: float,
     constants: Constants,
-    evidence: Evidence,
+    evidence: Likelihoods,
     expected: FloatArray,
     degenerate: BoolArray,
     projected: FloatArray,
@@ -155,7 +156,7 @@ def look_at_sources(
         )
 
 
-@part
+@jit
 def project_one(
     a: FloatArray, b: FloatArray, source: int, covariance: FloatArray, projected: FloatArray
 ) -> None:
@@ -193,7 +194,7 @@ def project_one(
             projected[other, k] = total
 
 
-@part
+@jit
 def log_likelihoods(
     projected: FloatArray,
     expected: FloatArray,

@@ -13,16 +13,18 @@ from __future__ import annotations
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
+from dopslam_ros.core.linalg.jit import from_python, jit_inline
 from dopslam_ros.core.models.channel_kernels import wrapped
-from dopslam_ros.core.linalg.jit import compiled, part_of_one
+from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
 from dopslam_ros.core.pmb.merge import uncouple
-from dopslam_ros.core.pmb.records import NONE, UE, Constants, Density, Observed, Outcome, Updated
+from dopslam_ros.core.pmb.records import Density, Observed, Outcome, Updated
 from dopslam_ros.core.pmb.step_kernels import name, rank
 from dopslam_ros.core.pmb.update import condition
+from dopslam_ros.core.settings.filtering import Constants
+from dopslam_ros.core.settings.layout import NONE, UE
 
 
-@compiled
+@from_python
 def localise(
     weighed: Density, prior: Density, observed: Observed, speed: float, constants: Constants
 ) -> Outcome:
@@ -45,7 +47,7 @@ def localise(
     return Outcome(after, leaving, named, ranked.sound and updated.sound)
 
 
-@part_of_one
+@jit_inline
 def consider(density: Density, updated: Updated, weight: FloatArray, joint: bool) -> Density:
     """The density after a snapshot, moments matched over the hypotheses; the map is untouched.
 

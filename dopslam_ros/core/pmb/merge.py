@@ -7,12 +7,13 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.models.channel import DIM
-from dopslam_ros.core.linalg.jit import compiled, part, part_of_one
-from dopslam_ros.core.pmb.records import NONE, UE, Conditioned, Constants, Density, Updated
+from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
+from dopslam_ros.core.pmb.records import Conditioned, Density, Updated
+from dopslam_ros.core.settings.filtering import Constants
+from dopslam_ros.core.settings.layout import DIM, NONE, UE
 
 
-@part_of_one
+@jit_inline
 def judge(
     density: Density, detection: FloatArray, birth_track: IntArray, source: IntArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -57,7 +58,7 @@ def judge(
     return existences, type_weights
 
 
-@part_of_one
+@jit_inline
 def supports(
     weight: FloatArray, conditioned: Conditioned
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -97,7 +98,7 @@ def supports(
     return shares, existence, share
 
 
-@part_of_one
+@jit_inline
 def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) -> Density:
     """PMBM to PMB: moments matched over the hypotheses, block by block; what is unlikely dropped.
 
@@ -155,7 +156,7 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
     )
 
 
-@part
+@jit
 def kept_of(
     owner: IntArray, existence: FloatArray, share: FloatArray, constants: Constants
 ) -> tuple[IntArray, IntArray]:
@@ -181,7 +182,7 @@ def kept_of(
     return components[:kept], tracks[:count]
 
 
-@part
+@jit
 def renumbered(owner: IntArray, components: IntArray, tracks: IntArray) -> IntArray:
     """Tracks (C,) of the components that are kept, numbered as the tracks that are kept."""
     new = np.empty(len(components), np.int64)
@@ -193,7 +194,7 @@ def renumbered(owner: IntArray, components: IntArray, tracks: IntArray) -> IntAr
     return new
 
 
-@part
+@jit
 def moments(
     means: FloatArray, shares: FloatArray, index: IntArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -216,7 +217,7 @@ def moments(
     return mean, deviation
 
 
-@part
+@jit
 def spread(
     updated: Updated, roots: FloatArray, deviation: FloatArray, index: IntArray, joint: bool
 ) -> FloatArray:
@@ -261,7 +262,7 @@ def spread(
     return covariance
 
 
-@part
+@jit
 def weigh_together(
     roots: FloatArray, first: int, last: int, block: int, together: FloatArray
 ) -> bool:
@@ -292,7 +293,7 @@ def weigh_together(
     return own > 0.0
 
 
-@part
+@jit
 def subtract_weighted(
     gains: FloatArray,
     branch: int,
@@ -311,7 +312,7 @@ def subtract_weighted(
         )
 
 
-@compiled
+@from_python
 def uncouple(covariance: FloatArray) -> None:
     """Zeroes (n, n) between the vehicle's block and those of the components, in place."""
     n = covariance.shape[0]

@@ -7,13 +7,14 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.models.channel_kernels import SP, VA
-from dopslam_ros.core.linalg.jit import part, part_of_one
+from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.pmb.coordinates_kernels import frames
-from dopslam_ros.core.pmb.records import NONE, UE, Births, Constants, Density, Hypotheses, Newborn
+from dopslam_ros.core.pmb.records import Births, Density, Hypotheses, Newborn
+from dopslam_ros.core.settings.filtering import Constants
+from dopslam_ros.core.settings.layout import NONE, SP, UE, VA
 
 
-@part_of_one
+@jit_inline
 def newborn(
     log_intensity: FloatArray, new: FloatArray, hypotheses: Hypotheses, least: float
 ) -> Newborn:
@@ -39,7 +40,7 @@ def newborn(
     return Newborn(existence, kept)
 
 
-@part
+@jit
 def select_births(
     log_intensity: FloatArray, kept: BoolArray, least: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
@@ -75,7 +76,7 @@ def select_births(
     return path[:count], kind[:count], share[:count]
 
 
-@part_of_one
+@jit_inline
 def augment(
     density: Density, births: Births, born: Newborn, numbered: BoolArray, constants: Constants
 ) -> tuple[Density, IntArray]:
@@ -151,7 +152,7 @@ def augment(
     )
 
 
-@part
+@jit
 def append(
     density: Density,
     births: Births,
@@ -210,7 +211,7 @@ def append(
     return mean, covariance
 
 
-@part
+@jit
 def place_birth(
     covariance: FloatArray,
     offset: FloatArray,

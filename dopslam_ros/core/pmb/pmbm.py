@@ -9,16 +9,17 @@ import numpy as np
 from scipy.special import logsumexp
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray, symmetrise, wrap_angle
-from dopslam_ros.core.pmb.inactive import fall_asleep
-from dopslam_ros.core.pmb.estimates import LandmarkEstimates, reported_landmarks
-from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.state import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.pmb.step import NOT_POSITIVE, advance, step
-from dopslam_ros.core.pmb import pmbm_kernels as kernels
-from dopslam_ros.core.pmb.records import Associations, Conditioned, Observed, Ranked
-from dopslam_ros.core.pmb.step_kernels import conclude, continued
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
+from dopslam_ros.core.pmb import pmbm_kernels as kernels
+from dopslam_ros.core.pmb.estimates import LandmarkEstimates, reported_landmarks
+from dopslam_ros.core.pmb.inactive import deactivate
+from dopslam_ros.core.pmb.observed import prepare
+from dopslam_ros.core.pmb.records import Associations, Conditioned, Observed, Ranked
+from dopslam_ros.core.pmb.state import FilterState, initial_filter_state
+from dopslam_ros.core.pmb.step import NOT_POSITIVE, advance, step
+from dopslam_ros.core.pmb.step_kernels import conclude, continued
+from dopslam_ros.core.settings.filtering import FilterParameters
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Mixture:
 
     @property
     def track_ids(self) -> IntArray:
-        """Ids of the tracks that some hypothesis has, awake or asleep, ascending."""
+        """Ids of the tracks that some hypothesis has, active or inactive, ascending."""
         return np.unique(np.concatenate([h.all_track_ids for h in self.hypotheses]))
 
     @property
@@ -142,8 +143,8 @@ def mixture_step(
         alone = np.zeros(len(parts[number]))
         alone[index - begin[number]] = 1.0
         density, leaving = conclude(alone, conditioned[number], constants)
-        state = FilterState(density, predicted[number].asleep)
-        states.append(fall_asleep(state, parameters) if leaving else state)
+        state = FilterState(density, predicted[number].inactive)
+        states.append(deactivate(state, parameters) if leaving else state)
     associations = _pooled(ranked, conditioned, observed, weight, log_evidence)
     return MixtureStep(Mixture(tuple(states), weight[kept] / weight[kept].sum()), associations)
 
@@ -166,7 +167,7 @@ def _pooled(
         )
         for found, one in zip(ranked, conditioned, strict=True)
     ]
-    born = np.max([one.born for one in each], axis=0)  # UNASSIGNED is below every id
+    born = np.max([one.born for one in each], axis=0)  # NONE is below every id
     # The likeliest of all is the likeliest of one of them.
     first = np.cumsum([0, *(len(one.weight) for one in each[:-1])])
     likeliest = each[int(np.argmax(weight[first]))]

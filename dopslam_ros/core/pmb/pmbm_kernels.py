@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.pmb import step_kernels as step
-from dopslam_ros.core.linalg.jit import exposed
 
-rank = exposed(step.rank)
-name = exposed(step.name)
+rank = from_python(step.rank)
+name = from_python(step.name)

@@ -6,52 +6,6 @@ from typing import NamedTuple
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 
-# The size of the vehicle's block, and what stands for no source, no track and no id.
-UE = 4
-NONE = -1
-
-
-class Constants(NamedTuple):
-    """What stays the same from step to step; ``FilterParameters`` says what each of them is.
-
-    Attributes:
-        bs: (3,) [m].
-        ue_height: [m].
-        probability: p_D of what is visible.
-        sight: field of view for SPs [m].
-        noise: (6, 6) R of paths that have none of their own.
-        used: (6,) components that count.
-        log_clutter: ln of the mean number of clutter paths.
-        log_spans: (6,) ln of the sides of the box in which clutter is uniform.
-        gates: (7,) squared distances inside which a path lies, by its number of components.
-        height_mean: of new landmarks [m].
-        height_std: [m].
-        log_undetected: ln of the intensity of landmarks never detected, at first.
-        floor: share of it that always remains.
-        gamma: number of associations.
-        prune_existence: landmarks less likely are dropped.
-        prune_type: types less likely are dropped.
-        joint: whether correlations are kept between steps.
-    """
-
-    bs: FloatArray
-    ue_height: float
-    probability: float
-    sight: float
-    noise: FloatArray
-    used: BoolArray
-    log_clutter: float
-    log_spans: FloatArray
-    gates: FloatArray
-    height_mean: float
-    height_std: float
-    log_undetected: float
-    floor: float
-    gamma: int
-    prune_existence: float
-    prune_type: float
-    joint: bool
-
 
 class Undetected(NamedTuple):
     """From where how often nothing new was detected.
@@ -68,7 +22,7 @@ class Undetected(NamedTuple):
 
 
 class Regressions(NamedTuple):
-    """What ties N landmarks out of view to A virtual anchors; see ``filter.sleepers.Sleepers``.
+    """What ties N landmarks out of view to A virtual anchors; see ``InactiveLandmarks``.
 
     Attributes:
         anchors: (N, A) track ids of the anchors, 0 where a place is not used.
@@ -138,7 +92,7 @@ class Observed(NamedTuple):
     noise: FloatArray
 
 
-class Evidence(NamedTuple):
+class Likelihoods(NamedTuple):
     """Each path against the BS (source 0) and the components (sources 1 ... C).
 
     Attributes:
@@ -234,7 +188,7 @@ class Ranked(NamedTuple):
         sound: whether the arithmetic went well.
     """
 
-    evidence: Evidence
+    evidence: Likelihoods
     births: Births
     weights: LocalWeights
     hypotheses: Hypotheses
@@ -291,9 +245,9 @@ class Associations(NamedTuple):
     """Which path came from where, in terms of landmark ids; for monitors and studies.
 
     Attributes:
-        ids: (H, J) id of the landmark (0 the BS) each path was given to, or UNASSIGNED.
+        ids: (H, J) id of the landmark (0 the BS) each path was given to, or NONE.
         weight: (H,) normalised weights.
-        born: (J,) id of the landmark born from each path, or UNASSIGNED.
+        born: (J,) id of the landmark born from each path, or NONE.
         nis: normalised innovation squared v' S^-1 v of all paths that the likeliest hypothesis
             gives to a landmark, jointly: S has their cross terms, v is in order of the update.
         nis_dof: how many numbers these paths have; nis is 0 where it is 0, chi-squared with so

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam_ros.core.pmb.inactive import fall_asleep, wake_up
-from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.state import FilterParameters, FilterState
-from dopslam_ros.core.pmb.localisation import localise
-from dopslam_ros.core.models.motion_kernels import predict as predict_arrays
-from dopslam_ros.core.pmb.records import Associations, Observed
-from dopslam_ros.core.pmb.step_kernels import learn
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan, span_rows
+from dopslam_ros.core.models.motion_kernels import predict as predict_arrays
+from dopslam_ros.core.pmb.inactive import deactivate, reactivate
+from dopslam_ros.core.pmb.localisation import localise
+from dopslam_ros.core.pmb.observed import prepare
+from dopslam_ros.core.pmb.records import Associations, Observed
+from dopslam_ros.core.pmb.state import FilterState
+from dopslam_ros.core.pmb.step_kernels import learn
+from dopslam_ros.core.settings.filtering import FilterParameters
 
-# Row 0 of the association problem is the BS, whose id is 0 as well.
-BS_ID = 0
 NOT_POSITIVE = "an innovation's covariance is not positive definite"
 
 
@@ -87,17 +86,17 @@ def update(
         outcome = localise(before, after, observed, float(speed), constants)
     if not outcome.sound:
         raise np.linalg.LinAlgError(NOT_POSITIVE)
-    state = FilterState(outcome.density, prior.asleep)
+    state = FilterState(outcome.density, prior.inactive)
     if outcome.leaving:
-        state = fall_asleep(state, parameters)
+        state = deactivate(state, parameters)
     return Step(state, outcome.associations)
 
 
 def advance(
     state: FilterState, spans: Sequence[ControlSpan], parameters: FilterParameters
 ) -> FilterState:
-    """The density that the next set is weighed against: predicted, what may be seen awake."""
-    return wake_up(predict(state, spans, parameters), parameters)
+    """The density that the next set is weighed against: predicted, what may be seen active."""
+    return reactivate(predict(state, spans, parameters), parameters)
 
 
 def predict(
@@ -110,4 +109,4 @@ def predict(
     mean, covariance = predict_arrays(
         before.mean, before.covariance, span_rows(spans), parameters.noise_rate
     )
-    return FilterState(before._replace(mean=mean, covariance=covariance), state.asleep)
+    return FilterState(before._replace(mean=mean, covariance=covariance), state.inactive)

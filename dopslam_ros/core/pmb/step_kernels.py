@@ -7,20 +7,30 @@ import math
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
-from dopslam_ros.core.pmb.birth import propose
+from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.models.channel_kernels import wrapped
-from dopslam_ros.core.linalg.jit import compiled, part
-from dopslam_ros.core.models.detection_kernels import looked_from
-from dopslam_ros.core.pmb.likelihood import weigh
+from dopslam_ros.core.pmb.birth import propose
 from dopslam_ros.core.pmb.hypotheses import associate, weigh_locally
+from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
+from dopslam_ros.core.pmb.likelihood import weigh
 from dopslam_ros.core.pmb.merge import judge, merge
 from dopslam_ros.core.pmb.newborn import augment, newborn
-from dopslam_ros.core.pmb.records import NONE, Associations, Conditioned, Constants, Density, Newborn, Observed, Outcome, Ranked
+from dopslam_ros.core.pmb.records import (
+    Associations,
+    Conditioned,
+    Density,
+    Newborn,
+    Observed,
+    Outcome,
+    Ranked,
+)
+from dopslam_ros.core.pmb.undetected_kernels import looked_from
 from dopslam_ros.core.pmb.update import condition
+from dopslam_ros.core.settings.filtering import Constants
+from dopslam_ros.core.settings.layout import NONE
 
 
-@compiled
+@from_python
 def learn(
     weighed: Density,
     prior: Density,
@@ -57,7 +67,7 @@ def learn(
     return Outcome(after, leaving, named, ranked.sound and conditioned.updated.sound)
 
 
-@part
+@jit
 def rank(density: Density, observed: Observed, speed: float, constants: Constants) -> Ranked:
     """Weighs the paths against a predicted density and finds the best associations."""
     evidence, sound = weigh(density, observed, speed, constants)
@@ -69,7 +79,7 @@ def rank(density: Density, observed: Observed, speed: float, constants: Constant
     return Ranked(evidence, births, weights, best, born, sound)
 
 
-@compiled
+@from_python
 def continued(
     density: Density,
     ranked: Ranked,
@@ -85,7 +95,7 @@ def continued(
     return Conditioned(augmented, birth_track, updated, existence, type_weight)
 
 
-@compiled
+@from_python
 def conclude(
     weight: FloatArray, conditioned: Conditioned, constants: Constants
 ) -> tuple[Density, bool]:
@@ -119,7 +129,7 @@ def conclude(
     return after, some_left_behind(after, constants.sight)
 
 
-@part
+@jit
 def name(
     track_id: IntArray,
     ranked: Ranked,

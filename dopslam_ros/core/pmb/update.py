@@ -10,16 +10,16 @@ from __future__ import annotations
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.models.channel import DIM
-from dopslam_ros.core.linalg.jit import part, part_of_one
-from dopslam_ros.core.pmb.records import NONE, UE, Evidence, Observed, Updated
+from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.linalg.small import cholesky, forward, forward_columns
+from dopslam_ros.core.pmb.records import Likelihoods, Observed, Updated
+from dopslam_ros.core.settings.layout import DIM, NONE, UE
 
 # Paths that are worked into a covariance in one go: their rows W must fit into the cache.
 BLOCK = 8
 
 
-@part
+@jit
 def project(
     mean: FloatArray,
     prior: FloatArray,
@@ -28,7 +28,7 @@ def project(
     chain: IntArray,
     source: int,
     path: int,
-    evidence: Evidence,
+    evidence: Likelihoods,
     observed: Observed,
     w: FloatArray,
 ) -> float:
@@ -114,7 +114,7 @@ def project(
     return distance
 
 
-@part
+@jit
 def multiply_gain(
     gains: FloatArray, update: int, a: FloatArray, b: FloatArray, source: int, f: FloatArray
 ) -> None:
@@ -140,7 +140,7 @@ def multiply_gain(
             f[c, k] = total
 
 
-@part
+@jit
 def subtract_rows(
     gains: FloatArray, update: int, f: FloatArray, c: int, rows: FloatArray, row: int, n: int
 ) -> None:
@@ -152,7 +152,7 @@ def subtract_rows(
         ) + (f3 * gains[update, 3, j] + f4 * gains[update, 4, j] + f5 * gains[update, 5, j])
 
 
-@part
+@jit
 def work_in(covariance: FloatArray, gains: FloatArray, count: int) -> None:
     """Takes W'W of the first so many updates (B, 6, n) from a covariance (n, n)."""
     f = np.empty((count, DIM))
@@ -165,7 +165,7 @@ def work_in(covariance: FloatArray, gains: FloatArray, count: int) -> None:
             covariance[j, i] = covariance[i, j]
 
 
-@part
+@jit
 def by_agreement(source: IntArray) -> tuple[IntArray, int]:
     """(J,) the paths, those first which many of the hypotheses (H, J) treat as the first one does.
 
@@ -187,7 +187,7 @@ def by_agreement(source: IntArray) -> tuple[IntArray, int]:
     return order, common
 
 
-@part
+@jit
 def in_order(source: IntArray, order: IntArray) -> tuple[IntArray, IntArray]:
     """The hypotheses (H, J) sorted by their sources of the paths in some order.
 
@@ -217,11 +217,11 @@ def in_order(source: IntArray, order: IntArray) -> tuple[IntArray, IntArray]:
     return sequence, common
 
 
-@part_of_one
+@jit_inline
 def agreed_update(
     mean: FloatArray,
     covariance: FloatArray,
-    evidence: Evidence,
+    evidence: Likelihoods,
     observed: Observed,
     source: IntArray,
     order: IntArray,
@@ -254,11 +254,11 @@ def agreed_update(
     return moved, left, distance
 
 
-@part_of_one
+@jit_inline
 def condition(
     mean: FloatArray,
     covariance: FloatArray,
-    evidence: Evidence,
+    evidence: Likelihoods,
     observed: Observed,
     source: IntArray,
 ) -> Updated:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from dopslam_ros.core.models.motion import Control, ControlSpan
 from dopslam_ros.core.pmb import FilterParameters, FilterState, Mixture
 from dopslam_ros.core.pmb.known_map import map_of, with_map
-from dopslam_ros.core.models.motion import Control, ControlSpan
 
 MAP, SNAPSHOT = "map", "snapshot"
 # The stamp of a filter that has not processed a set yet.
@@ -21,12 +21,12 @@ _FOR_A_MAP = ("bs_position", "ue_height", "sp_field_of_view")
 _MUST_AGREE = {MAP: _FOR_A_MAP, SNAPSHOT: (*_FOR_A_MAP, "coupling", "density", "mapping")}
 
 
-class SavedError(ValueError):
+class CheckpointError(ValueError):
     """Something saved that cannot be used; the message says why and what to do."""
 
 
 @dataclass(frozen=True)
-class Saved:
+class Checkpoint:
     """A map, or a snapshot of a whole filter.
 
     Attributes:
@@ -45,31 +45,31 @@ class Saved:
     mixture: Mixture
     controls: tuple[tuple[int, Control], ...] = ()
     owed: tuple[ControlSpan, ...] = ()
-    known: Saved | None = None
+    known: Checkpoint | None = None
 
     def check(self, kind: str, parameters: FilterParameters) -> None:
         """Whether a filter with these parameters can use it as such.
 
         Raises:
-            SavedError: it is of another kind, or a parameter that must agree does not.
+            CheckpointError: it is of another kind, or a parameter that must agree does not.
         """
         if self.kind != kind:
-            raise SavedError(f"this is a {self.kind}, not a {kind}: give a {kind}")
+            raise CheckpointError(f"this is a {self.kind}, not a {kind}: give a {kind}")
         for name in _MUST_AGREE[kind]:
             theirs, ours = self.parameters.get(name), getattr(parameters, name)
             if not _same(theirs, ours):
-                raise SavedError(
+                raise CheckpointError(
                     f"this {kind} was made with {name} = {theirs}, the filter has {name} ="
                     f" {ours}: start the filter with that value, or use another {kind}"
                 )
 
 
-def saved_map(state: FilterState, stamp_ns: int, parameters: Mapping[str, Any]) -> Saved:
+def map_checkpoint(state: FilterState, stamp_ns: int, parameters: Mapping[str, Any]) -> Checkpoint:
     """The map of a density, with the parameters of its filter by name."""
-    return Saved(MAP, stamp_ns, parameters, Mixture((map_of(state),), np.ones(1)))
+    return Checkpoint(MAP, stamp_ns, parameters, Mixture((map_of(state),), np.ones(1)))
 
 
-def in_map(vehicle: FilterState, known: Saved, parameters: FilterParameters) -> Mixture:
+def in_map(vehicle: FilterState, known: Checkpoint, parameters: FilterParameters) -> Mixture:
     """A vehicle in a map that it is independent of."""
     return Mixture((with_map(vehicle, known.mixture.best, parameters),), np.ones(1))
 

@@ -11,9 +11,15 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.pmb import FilterState
 from dopslam_ros.core.pmb.inactive import SMALLEST_CELL
-from dopslam_ros.core.pmb.inactive_grid import Sleepers
-from dopslam_ros.core.pmb.state import UE, UNKNOWN_TYPES
-from dopslam_ros.core.session.checkpoint import BEFORE_ALL, MAP, SNAPSHOT, Saved, SavedError
+from dopslam_ros.core.pmb.inactive_grid import InactiveLandmarks
+from dopslam_ros.core.session.checkpoint import (
+    BEFORE_ALL,
+    MAP,
+    SNAPSHOT,
+    Checkpoint,
+    CheckpointError,
+)
+from dopslam_ros.core.settings.layout import UE, UNKNOWN_TYPES
 
 # Nothing that is estimated is farther away [m], in any unit.
 LARGEST = 1e9
@@ -24,11 +30,11 @@ LEAST_EIGENVALUE = -1e-8
 LATEST_NS = 2**63 - 1
 
 
-def check_saved(saved: Saved) -> None:
+def check_checkpoint(saved: Checkpoint) -> None:
     """Looks at everything that the filter will rely on.
 
     Raises:
-        SavedError: something is not finite, no probability, no covariance, or does not fit.
+        CheckpointError: something is not finite, no probability, no covariance, or does not fit.
     """
     _need(saved.kind in (MAP, SNAPSHOT), f"the kind is '{saved.kind}'")
     _need(BEFORE_ALL <= saved.stamp_ns <= LATEST_NS, f"the stamp is {saved.stamp_ns}")
@@ -56,7 +62,7 @@ def check_saved(saved: Saved) -> None:
     if saved.known is not None:
         fits = saved.kind == SNAPSHOT and saved.known.kind == MAP
         _need(fits and saved.known.known is None, "a map is where none can be")
-        check_saved(saved.known)
+        check_checkpoint(saved.known)
 
 
 def check_state(state: FilterState, parameters: Mapping[str, Any]) -> None:
@@ -105,30 +111,32 @@ def _check_undetected(state: FilterState) -> None:
 
 
 def _check_asleep(state: FilterState, parameters: Mapping[str, Any]) -> None:
-    _need(0.0 <= state.asleep.widest <= LARGEST, "a reach is out of range")
-    everybody = state.asleep.everybody
+    _need(0.0 <= state.inactive.widest <= LARGEST, "a reach is out of range")
+    everybody = state.inactive.everybody
     if everybody is None:
         return
     size = max(float(parameters["sp_field_of_view"]), SMALLEST_CELL)
-    index = np.array(list(state.asleep.cells), np.float64)
-    counts = [len(cell) for cell in state.asleep.cells.values()]
+    index = np.array(list(state.inactive.cells), np.float64)
+    counts = [len(cell) for cell in state.inactive.cells.values()]
     at_home = np.floor(everybody.position[:, :2] / size) == np.repeat(index, counts, axis=0)
     _need(min(counts) > 0 and bool(at_home.all()), "a cell has landmarks of elsewhere, or none")
-    _check_sleepers(everybody, state.asleep.widest)
+    _check_sleepers(everybody, state.inactive.widest)
 
 
-def _check_sleepers(sleepers: Sleepers, widest: float) -> None:
+def _check_sleepers(inactive_landmarks: InactiveLandmarks, widest: float) -> None:
     for name in ("existence", "reach", "position", "origin", "axes", "q", "anchor_q", "gain"):
-        _numbers(name, getattr(sleepers, name))
+        _numbers(name, getattr(inactive_landmarks, name))
     for name in ("track_id", "anchors"):
-        _need(getattr(sleepers, name).dtype == np.int64, f"'{name}' is not of whole numbers")
-    _probabilities("existence", sleepers.existence)
-    in_reach = (sleepers.reach >= 0.0) & (sleepers.reach <= widest)
+        _need(
+            getattr(inactive_landmarks, name).dtype == np.int64, f"'{name}' is not of whole numbers"
+        )
+    _probabilities("existence", inactive_landmarks.existence)
+    in_reach = (inactive_landmarks.reach >= 0.0) & (inactive_landmarks.reach <= widest)
     _need(bool(in_reach.all()), "a reach is out of range")
-    _need(bool((sleepers.anchors >= 0).all()), "an anchor has a negative id")
-    _frames(sleepers.axes)
-    _covariance("covariance", sleepers.covariance)
-    _covariance("residual", sleepers.residual)
+    _need(bool((inactive_landmarks.anchors >= 0).all()), "an anchor has a negative id")
+    _frames(inactive_landmarks.axes)
+    _covariance("covariance", inactive_landmarks.covariance)
+    _covariance("residual", inactive_landmarks.residual)
 
 
 def _array(name: str, array: FloatArray | IntArray, shape: tuple[int, ...], *, whole: bool) -> None:
@@ -168,9 +176,9 @@ def _covariance(name: str, matrix: FloatArray) -> None:
     try:
         np.linalg.cholesky(correlation - LEAST_EIGENVALUE * np.eye(matrix.shape[-1]))
     except np.linalg.LinAlgError as error:
-        raise SavedError(f"the file makes no sense: '{name}' is no covariance") from error
+        raise CheckpointError(f"the file makes no sense: '{name}' is no covariance") from error
 
 
 def _need(holds: bool, otherwise: str) -> None:
     if not holds:
-        raise SavedError(f"the file makes no sense: {otherwise}")
+        raise CheckpointError(f"the file makes no sense: {otherwise}")

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.pmb import FilterState, Mixture
-from dopslam_ros.core.pmb.inactive_grid import Asleep, Sleepers
-from dopslam_ros.core.pmb.records import Density, Undetected
 from dopslam_ros.core.models.motion import Control, ControlSpan, Drift
-from dopslam_ros.core.session.checkpoint import Saved, SavedError
-from dopslam_ros.core.session.checkpoint_checks import check_saved
+from dopslam_ros.core.pmb import FilterState, Mixture
+from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks
+from dopslam_ros.core.pmb.records import Density, Undetected
+from dopslam_ros.core.session.checkpoint import Checkpoint, CheckpointError
+from dopslam_ros.core.session.checkpoint_checks import check_checkpoint
 
 Array = FloatArray | IntArray
 Buffer = bytes | Array
@@ -45,8 +45,8 @@ _START = _PREFIX.size + hashlib.sha256().digest_size
 _TYPES: Mapping[str, Any] = {"<f8": np.float64, "<i8": np.int64}
 # What is an array of its own.
 _DENSITY = tuple(name for name in Density._fields if name not in ("undetected", "next_id"))
-# Shape of what belongs to one sleeper; A anchors.
-_SLEEPER: Mapping[str, tuple[int, ...]] = {
+# Shape of what belongs to one inactive landmark; A anchors.
+_INACTIVE: Mapping[str, tuple[int, ...]] = {
     "track_id": (),
     "existence": (),
     "reach": (),
@@ -62,7 +62,7 @@ _SLEEPER: Mapping[str, tuple[int, ...]] = {
 }
 
 
-def encode(saved: Saved) -> list[Buffer]:
+def encode(saved: Checkpoint) -> list[Buffer]:
     """The pieces of the file, to be written one after the other."""
     arrays = [
         (name, np.ascontiguousarray(array, dtype="<f8" if array.dtype == np.float64 else "<i8"))
@@ -79,53 +79,55 @@ def encode(saved: Saved) -> list[Buffer]:
     return [prefix, digest.digest(), text, *payload]
 
 
-def to_bytes(saved: Saved) -> bytes:
+def to_bytes(saved: Checkpoint) -> bytes:
     """The whole file."""
     return b"".join(bytes(piece) for piece in encode(saved))
 
 
-def decode(data: bytes) -> Saved:
+def decode(data: bytes) -> Checkpoint:
     """Reads what ``encode`` has made.
 
     Raises:
-        SavedError: it is not such a file, of a newer version, damaged, or makes no sense.
+        CheckpointError: it is not such a file, of a newer version, damaged, or makes no sense.
     """
     if data[:8] != MAGIC:
-        raise SavedError("this is no map or snapshot of dopslam_ros")
+        raise CheckpointError("this is no map or snapshot of dopslam_ros")
     if len(data) < _START:
-        raise SavedError(f"the file is cut off: it has {len(data)} bytes")
+        raise CheckpointError(f"the file is cut off: it has {len(data)} bytes")
     _, version, header_size, payload_size = _PREFIX.unpack_from(data)
     if version != VERSION:
-        raise SavedError(
+        raise CheckpointError(
             f"the file has version {version}, this dopslam_ros reads version {VERSION}: read it"
             " with the dopslam_ros that wrote it, or a newer one"
         )
     expected = _START + header_size + payload_size
     if len(data) != expected or header_size > MOST_HEADER_BYTES:
         what = "cut off" if len(data) < expected else "not as it says"
-        raise SavedError(f"the file is {what}: it has {len(data)} of {expected} bytes")
+        raise CheckpointError(f"the file is {what}: it has {len(data)} of {expected} bytes")
     content = memoryview(data)
     digest = hashlib.sha256(content[: _PREFIX.size])
     digest.update(content[_START:])
     if digest.digest() != data[_PREFIX.size : _START]:
-        raise SavedError("the file is damaged: its checksum does not match, use another copy")
+        raise CheckpointError("the file is damaged: its checksum does not match, use another copy")
     end = _START + header_size
     try:
         header = json.loads(data[_START:end])
         arrays = _arrays(header["arrays"], content[end:])
         saved = _saved(header, arrays)
         if arrays:
-            raise SavedError(f"the file has arrays of no use: {', '.join(sorted(arrays)[:5])}")
-        check_saved(saved)
-    except SavedError:
+            raise CheckpointError(f"the file has arrays of no use: {', '.join(sorted(arrays)[:5])}")
+        check_checkpoint(saved)
+    except CheckpointError:
         raise
     # A header can be anything: whatever it provokes, it is not one of ours.
     except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise SavedError(f"the file makes no sense: {type(error).__name__}: {error}") from error
+        raise CheckpointError(
+            f"the file makes no sense: {type(error).__name__}: {error}"
+        ) from error
     return saved
 
 
-def _about(saved: Saved) -> dict[str, Any]:
+def _about(saved: Checkpoint) -> dict[str, Any]:
     """What the header says besides the arrays."""
     return {
         "kind": saved.kind,
@@ -135,8 +137,8 @@ def _about(saved: Saved) -> dict[str, Any]:
     }
 
 
-def _named_arrays(saved: Saved) -> Iterator[tuple[str, Array]]:
-    """Every array by name; those of the sleepers flat, one cell after the other."""
+def _named_arrays(saved: Checkpoint) -> Iterator[tuple[str, Array]]:
+    """Every array by name; those of the inactive landmarks flat, one cell after the other."""
     stamps = np.array([stamp for stamp, _ in saved.controls], np.int64)
     values = np.array([list(control) for _, control in saved.controls], np.float64).reshape(-1, 2)
     owed = np.array([[*c, duration, *drift] for c, duration, drift in saved.owed], np.float64)
@@ -157,15 +159,15 @@ def _of_state(state: FilterState) -> Iterator[tuple[str, Array]]:
     yield "numbers", np.array([state.next_id, state.undetected.looks], np.int64)
     yield "viewpoints", state.undetected.viewpoints
     yield "viewpoint_looks", state.undetected.viewpoint_looks
-    cells = list(state.asleep.cells.items())
+    cells = list(state.inactive.cells.items())
     sizes = [[*index, *cell.anchors.shape] for index, cell in cells]
     yield "cells", np.array(sizes, np.int64).reshape(-1, 4)
-    yield "widest", np.array([state.asleep.widest])
-    for name in _SLEEPER if cells else ():
+    yield "widest", np.array([state.inactive.widest])
+    for name in _INACTIVE if cells else ():
         yield f"asleep/{name}", np.concatenate([getattr(cell, name).ravel() for _, cell in cells])
 
 
-def _saved(about: Any, arrays: Arrays, prefix: str = "") -> Saved:
+def _saved(about: Any, arrays: Arrays, prefix: str = "") -> Checkpoint:
     """Takes its arrays, whose names begin with ``prefix``, out of all."""
 
     def take(name: str) -> Any:
@@ -175,9 +177,9 @@ def _saved(about: Any, arrays: Arrays, prefix: str = "") -> Saved:
     stamps, controls = take("control_stamps").tolist(), take("controls").tolist()
     states = tuple(_state(arrays, f"{prefix}{number}/") for number in range(len(weight)))
     if not states:
-        raise SavedError("the file has no hypothesis")
+        raise CheckpointError("the file has no hypothesis")
     known = about["known"]
-    return Saved(
+    return Checkpoint(
         kind=str(about["kind"]),
         stamp_ns=int(about["stamp_ns"]),
         parameters=dict(about["parameters"]),
@@ -195,18 +197,18 @@ def _arrays(named: Any, payload: memoryview) -> Arrays:
     for name, kind, shape in named:
         target, size = _TYPES[kind], 8 * math.prod(_whole(length) for length in shape)
         if start + size > len(payload) or name in arrays:
-            raise SavedError(f"array '{name}' does not fit the file")
+            raise CheckpointError(f"array '{name}' does not fit the file")
         values = np.frombuffer(payload[start : start + size], dtype=kind)
         arrays[str(name)] = values.astype(target).reshape(shape)
         start += size
     if start != len(payload):
-        raise SavedError(f"the file has {len(payload) - start} bytes of no array")
+        raise CheckpointError(f"the file has {len(payload) - start} bytes of no array")
     return arrays
 
 
 def _whole(length: Any) -> int:
     if type(length) is not int or not 0 <= length <= MOST_BYTES:
-        raise SavedError(f"an array has a side of {length!r}")
+        raise CheckpointError(f"an array has a side of {length!r}")
     return length
 
 
@@ -218,23 +220,25 @@ def _state(arrays: Arrays, prefix: str) -> FilterState:
     next_id, looks = take("numbers").tolist()
     undetected = Undetected(looks, take("viewpoints"), take("viewpoint_looks"))
     cells, (widest,) = take("cells").tolist(), take("widest").tolist()
-    flat = {name: take(f"asleep/{name}") for name in _SLEEPER} if cells else {}
+    flat = {name: take(f"asleep/{name}") for name in _INACTIVE} if cells else {}
     density = Density(**own, undetected=undetected, next_id=next_id)
-    return FilterState(density, Asleep(_cells(cells, flat), widest))
+    return FilterState(density, InactiveGrid(_cells(cells, flat), widest))
 
 
-def _cells(sizes: list[list[int]], flat: Mapping[str, Any]) -> dict[tuple[int, int], Sleepers]:
-    """The sleepers of each cell, cut out of the flat arrays of all."""
-    cells: dict[tuple[int, int], Sleepers] = {}
-    at = dict.fromkeys(_SLEEPER, 0)
+def _cells(
+    sizes: list[list[int]], flat: Mapping[str, Any]
+) -> dict[tuple[int, int], InactiveLandmarks]:
+    """The inactive_landmarks of each cell, cut out of the flat arrays of all."""
+    cells: dict[tuple[int, int], InactiveLandmarks] = {}
+    at = dict.fromkeys(_INACTIVE, 0)
     for x, y, count, anchors in sizes:
         parts: dict[str, Any] = {}
-        for name, sides in _SLEEPER.items():
+        for name, sides in _INACTIVE.items():
             shape = (count, *(-side * anchors if side < 0 else side for side in sides))
             end = at[name] + math.prod(_whole(side) for side in shape)
             parts[name] = flat[name][at[name] : end].reshape(shape).copy()
             at[name] = end
-        cells[x, y] = Sleepers(**parts)
+        cells[x, y] = InactiveLandmarks(**parts)
     if len(cells) != len(sizes) or any(at[name] != flat[name].size for name in flat):
-        raise SavedError("the cells of the landmarks out of view do not fit together")
+        raise CheckpointError("the cells of the landmarks out of view do not fit together")
     return cells

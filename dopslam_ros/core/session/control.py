@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from collections import deque
 
-from dopslam_ros.core.session.events import CONTINUE, LOAD_MAP, PAUSE, RESET, RESUME, Event, Pauses
-from dopslam_ros.core.pmb import FilterParameters, Mixture, initial_mixture
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
-from dopslam_ros.core.settings.parameters import shared_values
-from dopslam_ros.core.session.checkpoint import BEFORE_ALL, MAP, SNAPSHOT, Saved, in_map, saved_map
+from dopslam_ros.core.pmb import FilterParameters, Mixture, initial_mixture
+from dopslam_ros.core.session.checkpoint import (
+    BEFORE_ALL,
+    MAP,
+    SNAPSHOT,
+    Checkpoint,
+    in_map,
+    map_checkpoint,
+)
+from dopslam_ros.core.session.events import CONTINUE, LOAD_MAP, PAUSE, RESET, RESUME, Event, Pauses
 from dopslam_ros.core.session.sequence import Sequencer
+from dopslam_ros.core.settings.parameters import shared_values
 
 
-class SteeredFilter:
+class ControlledFilter:
     """Density, order of the sets, and the events that change them.
 
     Each method that changes something returns the event, for those who record the run; ``schedule``
@@ -28,7 +35,7 @@ class SteeredFilter:
         self._owed: tuple[ControlSpan, ...] = ()
         self._last_ns = BEFORE_ALL
         self._anew = True  # the next set is like a first one: no motion leads to it
-        self._start_map: Saved | None = None
+        self._start_map: Checkpoint | None = None
         self._known_map = self._learned_map()
         self._pauses = Pauses()
         self._scheduled: deque[Event] = deque()
@@ -47,22 +54,22 @@ class SteeredFilter:
         """Back to the initial state, in the map loaded before the first set if there was one."""
         return self._do(Event(RESET, self._last_ns))
 
-    def replace_map(self, saved: Saved) -> Event:
+    def replace_map(self, saved: Checkpoint) -> Event:
         """Takes a map in the place of the present one; the vehicle stays where it is.
 
         Its correlation with the map is dropped: the map must not come from this very run.
 
         Raises:
-            SavedError: it is no map, or one of a filter that was set otherwise.
+            CheckpointError: it is no map, or one of a filter that was set otherwise.
         """
         saved.check(MAP, self.parameters)
         return self._do(Event(LOAD_MAP, self._last_ns, saved=saved))
 
-    def restore(self, saved: Saved) -> Event:
+    def restore(self, saved: Checkpoint) -> Event:
         """Goes on as the filter that made a snapshot; nothing may have been added yet.
 
         Raises:
-            SavedError: it is no snapshot, or one of a filter that was set otherwise.
+            CheckpointError: it is no snapshot, or one of a filter that was set otherwise.
         """
         saved.check(SNAPSHOT, self.parameters)
         return self._do(Event(RESUME, self._last_ns, saved=saved))
@@ -98,9 +105,9 @@ class SteeredFilter:
             self._scheduled.append(event)
             self._do_scheduled(before_ns=self._last_ns + 1)
 
-    def snapshot(self) -> Saved:
+    def snapshot(self) -> Checkpoint:
         """All that ``restore`` needs to go on after the last set processed."""
-        return Saved(
+        return Checkpoint(
             SNAPSHOT,
             BEFORE_ALL if self._anew else self._last_ns,
             self._settings,
@@ -110,7 +117,7 @@ class SteeredFilter:
             None if self.parameters.mapping else self._known_map,
         )
 
-    def known_map(self) -> Saved:
+    def known_map(self) -> Checkpoint:
         """The map: as it is by now or, where none is learned, as it was loaded."""
         return self._learned_map() if self.parameters.mapping else self._known_map
 
@@ -119,8 +126,8 @@ class SteeredFilter:
         newest = self._sequencer.newest_ns
         return BEFORE_ALL if newest is None else newest
 
-    def _learned_map(self) -> Saved:
-        return saved_map(self._state.best, self._last_ns, self._settings)
+    def _learned_map(self) -> Checkpoint:
+        return map_checkpoint(self._state.best, self._last_ns, self._settings)
 
     def _do(self, event: Event) -> Event:
         saved = event.saved
@@ -143,7 +150,7 @@ class SteeredFilter:
         self._do(Event(RESET, self._last_ns))
         self._last_ns = BEFORE_ALL
 
-    def _go_on_from(self, saved: Saved) -> None:
+    def _go_on_from(self, saved: Checkpoint) -> None:
         self._state, self._owed, self._last_ns = saved.mixture, saved.owed, saved.stamp_ns
         self._anew = saved.stamp_ns == BEFORE_ALL
         self._known_map = saved.known or self._learned_map()

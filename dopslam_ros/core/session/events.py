@@ -10,7 +10,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from dopslam_ros.core.models.refusal import Refused
-from dopslam_ros.core.session.checkpoint import BEFORE_ALL, Saved
+from dopslam_ros.core.session.checkpoint import BEFORE_ALL, Checkpoint
 
 RESET, LOAD_MAP, RESUME, PAUSE, CONTINUE = "reset", "load_map", "resume", "pause", "continue"
 KINDS = (RESET, LOAD_MAP, RESUME, PAUSE, CONTINUE)
@@ -31,7 +31,7 @@ class Event:
     kind: str
     after_ns: int
     until_ns: int = 0
-    saved: Saved | None = None
+    saved: Checkpoint | None = None
 
 
 class Pauses:

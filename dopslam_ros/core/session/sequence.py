@@ -19,10 +19,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from dopslam_ros.core.settings.model import OnlineParameters
 from dopslam_ros.core.models.motion import NO_DRIFT, Control, ControlSpan, Drift
-from dopslam_ros.core.session.ordering import Instant, Stream
 from dopslam_ros.core.models.refusal import Refused
+from dopslam_ros.core.session.ordering import Instant, Stream
+from dopslam_ros.core.settings.model import OnlineParameters
 
 Item = TypeVar("Item")
 
@@ -250,3 +250,7 @@ class Sequencer(Generic[Item]):
             (self._parameters.coasting_acceleration * grown) ** 2,
             min(self._parameters.coasting_turn_acceleration * grown, math.pi) ** 2,
         )
+
+
+# Time began anew, and with it everything that was estimated.
+BEGUN_ANEW = "reset_backward_jump"

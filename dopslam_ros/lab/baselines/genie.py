@@ -11,16 +11,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam_ros.core.linalg.arrays import FloatArray, IntArray, block_indices, symmetrise, wrap_angle
-from dopslam_ros.core.models.channel import DIM, LandmarkType, observe
-from dopslam_ros.core.pmb import LandmarkEstimates, coordinates as placement
-from dopslam_ros.core.pmb.birth_from_python import propose
-from dopslam_ros.core.pmb.observed import masked_residual, prepare
-from dopslam_ros.core.pmb.state import UE, UNKNOWN_TYPES, FilterParameters, initial_filter_state
-from dopslam_ros.core.pcrb.bounds_kernels import DIFFUSE_STD
-from dopslam_ros.core.pmb.records import Observed
+from dopslam_ros.core.linalg.arrays import (
+    FloatArray,
+    IntArray,
+    block_indices,
+    symmetrise,
+    wrap_angle,
+)
+from dopslam_ros.core.models.channel import observe
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan, predict_covariance, propagate_spans
+from dopslam_ros.core.pcrb.bounds_kernels import DIFFUSE_STD
+from dopslam_ros.core.pmb import LandmarkEstimates
+from dopslam_ros.core.pmb import coordinates as placement
+from dopslam_ros.core.pmb.birth_from_python import propose
+from dopslam_ros.core.pmb.observed import masked_residual, prepare
+from dopslam_ros.core.pmb.records import Observed
+from dopslam_ros.core.pmb.state import initial_filter_state
+from dopslam_ros.core.settings.filtering import FilterParameters
+from dopslam_ros.core.settings.layout import DIM, UE, UNKNOWN_TYPES, LandmarkType
 from dopslam_ros.simulation.simulator import CLUTTER
 
 ITERATIONS = 5

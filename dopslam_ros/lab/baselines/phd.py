@@ -22,19 +22,21 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
+from dopslam_ros.core.association.assignment import k_best_assignments
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray, symmetrise, wrap_angle
-from dopslam_ros.core.association.assignment import UNASSIGNED, k_best_assignments
-from dopslam_ros.core.models.channel import LandmarkType, observe
+from dopslam_ros.core.models.channel import observe
+from dopslam_ros.core.models.detection import detection_probabilities, log_clutter_intensity
+from dopslam_ros.core.models.measurements import MeasurementSet
+from dopslam_ros.core.models.motion import ControlSpan, predict_covariance, propagate_spans
 from dopslam_ros.core.pmb.birth_from_python import propose
 from dopslam_ros.core.pmb.estimates import LandmarkEstimates
-from dopslam_ros.core.pmb.observed import gaussian_terms, log_normaliser, masked_residual, prepare
-from dopslam_ros.core.pmb.state import UE, UNKNOWN_TYPES, FilterParameters, FilterState, gates, initial_filter_state
-from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
 from dopslam_ros.core.pmb.hypotheses import LOG_TINY
+from dopslam_ros.core.pmb.observed import gaussian_terms, log_normaliser, masked_residual, prepare
 from dopslam_ros.core.pmb.records import Births, Observed, Undetected
-from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.settings.model import detection_probabilities, log_clutter_intensity
-from dopslam_ros.core.models.motion import ControlSpan, predict_covariance, propagate_spans
+from dopslam_ros.core.pmb.state import FilterState, initial_filter_state
+from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
+from dopslam_ros.core.settings.filtering import FilterParameters, gates
+from dopslam_ros.core.settings.layout import NONE, UE, UNKNOWN_TYPES, LandmarkType
 
 # Components this near a heavier one (squared Mahalanobis distance, Vo and Ma's U) join it.
 MERGE_DISTANCE = 4.0
@@ -297,7 +299,7 @@ def _place_vehicle(covariance: FloatArray, pairs: _Pairs, gamma: int) -> _Vehicl
 
     right = np.concatenate([pairs.by_ue, pairs.innovation[..., None]], axis=-1)
     information = np.swapaxes(pairs.by_ue, -1, -2) @ np.linalg.solve(pairs.noise, right)
-    taken = (ranked.columns != UNASSIGNED)[:, :, None, None]
+    taken = (ranked.columns != NONE)[:, :, None, None]
     added = np.where(taken, information[ranked.columns, paths], 0.0)
     # Of all paths but one without a difference, which would cancel: those before plus those after.
     padded = np.pad(added, ((0, 0), (1, 1), (0, 0), (0, 0)))
@@ -395,12 +397,12 @@ def _born(
 def _merged(components: _Components) -> _Components:
     """The heaviest component of a type takes up those near it, then the next (Vo and Ma 2006)."""
     weights, means, covariances, types = components
-    cluster = np.full(len(weights), UNASSIGNED, dtype=np.int64)
+    cluster = np.full(len(weights), NONE, dtype=np.int64)
     heads: list[int] = []
     for head in np.argsort(-weights, kind="stable").tolist():
-        if cluster[head] != UNASSIGNED:
+        if cluster[head] != NONE:
             continue
-        free = np.flatnonzero((cluster == UNASSIGNED) & (types == types[head]))
+        free = np.flatnonzero((cluster == NONE) & (types == types[head]))
         offset = means[free] - means[head]
         white = np.linalg.solve(covariances[free], offset[:, :, None])[..., 0]
         near = np.einsum("ni,ni->n", offset, white) <= MERGE_DISTANCE

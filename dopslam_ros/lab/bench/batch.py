@@ -17,17 +17,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dopslam_ros.bag import BagReader, BagWriter
-from dopslam_ros.lab.bench.records import Measured, NotMeasured, Ratio, figure, milliseconds
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.core.session.filtering import BoundsSession, FilterSession, WorldState
-from dopslam_ros.simulation.simulator import all_landmarks, simulate
-from dopslam_ros.simulation.matched import bounds_parameters_for, filter_parameters_for
-from dopslam_ros.offline.replay import replay
-from dopslam_ros.simulation.recording import write_simulation
-from dopslam_ros.system.stopping import until_stopped
+from dopslam_ros.core.session.bounding import BoundsSession, WorldState
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.lab.bench.records import Measured, NotMeasured, Ratio, figure, milliseconds
 from dopslam_ros.lab.study.executors import run_local
 from dopslam_ros.lab.study.plan import Plan
+from dopslam_ros.offline.replay import replay
+from dopslam_ros.simulation.matched import bounds_parameters_for, filter_parameters_for
+from dopslam_ros.simulation.recording import write_simulation
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.simulation.simulator import all_landmarks, simulate
+from dopslam_ros.system.stopping import until_stopped
 
 DOPPLERS = (0.1, None)
 # Steps until all memory that the filter will ever need should be in use.

@@ -14,10 +14,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from dopslam_ros.lab.bench.records import Measured, NotMeasured, Ratio, figure, milliseconds, times_as_long
 from dopslam_ros.core.settings.parameters import to_mapping
-from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.lab.bench.records import (
+    Measured,
+    NotMeasured,
+    Ratio,
+    figure,
+    milliseconds,
+    times_as_long,
+)
 from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.system.processes import isolated_environment, node_command, running
 
 RATE = 100.0

@@ -7,15 +7,24 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader
+from dopslam_ros.core.settings.parameters import to_mapping
 from dopslam_ros.lab.bench.batch import occupied
-from dopslam_ros.lab.bench.live import PATIENCE, READY, check_rclpy, check_running, last_line, processor_seconds, role, wait_for
+from dopslam_ros.lab.bench.live import (
+    PATIENCE,
+    READY,
+    check_rclpy,
+    check_running,
+    last_line,
+    processor_seconds,
+    role,
+    wait_for,
+)
 from dopslam_ros.lab.bench.live_nodes import BEGIN, END
 from dopslam_ros.lab.bench.records import Measured, Ratio, figure, milliseconds, times_as_long
-from dopslam_ros.core.settings.parameters import to_mapping
-from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.messages import topics
 from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.system.processes import isolated_environment, node_command, running
 
 RECORDED_RATE = 1000.0

@@ -20,14 +20,14 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import deserialize, serialize
 from dopslam_ros.lab.bench.live_nodes import BEGIN, END, PATIENCE, listen, stamp_of
 from dopslam_ros.lab.bench.soak import endless_scene
-from dopslam_ros.simulation.simulator import simulate
+from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import Frames
 from dopslam_ros.nodes.runtime import LOST, middleware_class, qos_profile
 from dopslam_ros.simulation.recording import snapshot_messages
+from dopslam_ros.simulation.simulator import simulate
 
 NANO = 1_000_000_000
 # Snapshots a second of the scene, whatever the rate they are sent at, and of a round in it.

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from dopslam_ros.lab.bench.records import Measured, NotMeasured, milliseconds, times_as_long
 from dopslam_ros.core.association.assignment import k_best_assignments
+from dopslam_ros.lab.bench.records import Measured, NotMeasured, milliseconds, times_as_long
 from dopslam_ros.offline.metrics import gospa
 from dopslam_ros.system.stopping import until_stopped
 

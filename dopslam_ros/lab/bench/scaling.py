@@ -8,16 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import block_diag
 
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
+from dopslam_ros.core.models.motion import Control
+from dopslam_ros.core.pmb import (
+    FilterParameters,
+    FilterState,
+    initial_filter_state,
+    reported_landmarks,
+)
+from dopslam_ros.core.pmb.coordinates import frames, placements
+from dopslam_ros.core.pmb.inactive import deactivate
+from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.lab.bench.records import Measured, Ratio, milliseconds, times_as_long
 from dopslam_ros.lab.bench.steps import Task, filter_step, inputs_of, step_seconds
-from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state, reported_landmarks
-from dopslam_ros.core.pmb.inactive import fall_asleep
-from dopslam_ros.core.pmb.coordinates import frames, placements
-from dopslam_ros.core.models.motion import Control
-from dopslam_ros.simulation.scenario import Scenario
 from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import Scenario
 from dopslam_ros.system.stopping import until_stopped
 
 MAP_SIZES = (10, 1_000, 10_000)
@@ -141,18 +146,18 @@ def with_map(parameters: FilterParameters, positions: FloatArray, types: IntArra
     """
     start = initial_filter_state(parameters)
     distance = np.linalg.norm(positions[:, :2] - start.ue_mean[:2], axis=1)
-    awake = (types == LandmarkType.VA) | (distance < 2.0 * parameters.sp_field_of_view)
-    near = np.flatnonzero(awake)
+    active = (types == LandmarkType.VA) | (distance < 2.0 * parameters.sp_field_of_view)
+    near = np.flatnonzero(active)
     state = _appended(start, positions[near], types[near], near + 1)
-    for far in np.array_split(np.flatnonzero(~awake), -(-int((~awake).sum()) // CHUNK) or 1):
-        state = fall_asleep(_appended(state, positions[far], types[far], far + 1), parameters)
+    for far in np.array_split(np.flatnonzero(~active), -(-int((~active).sum()) // CHUNK) or 1):
+        state = deactivate(_appended(state, positions[far], types[far], far + 1), parameters)
     return state.but(next_id=len(types) + 1)
 
 
 def _appended(
     state: FilterState, positions: FloatArray, types: IntArray, ids: IntArray
 ) -> FilterState:
-    """A state with more landmarks, awake."""
+    """A state with more landmarks, active."""
     count, old = len(ids), len(state.mean)
     origin = np.tile(np.append(state.ue_mean[:2], 0.0), (count, 1))
     axes = frames(positions - origin)

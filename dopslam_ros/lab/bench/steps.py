@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import dopslam_ros
-from dopslam_ros.lab.bench.records import Measured, NotMeasured, milliseconds, times_as_long
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state, step
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
+from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state, step
+from dopslam_ros.lab.bench.records import Measured, NotMeasured, milliseconds, times_as_long
+from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.simulation.simulator import simulate
-from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.system.stopping import until_stopped
 
 

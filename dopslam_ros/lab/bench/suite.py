@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dopslam_ros.lab.bench import batch, live, load, pieces, scaling, soak, steps
 from dopslam_ros.lab.bench.records import Measured, NotMeasured, Record
 from dopslam_ros.lab.bench.titles import TITLES
-from dopslam_ros.system.stopping import Stop
 from dopslam_ros.lab.study.executors import one_blas_thread
+from dopslam_ros.system.stopping import Stop
 
 Benchmark = Callable[[bool], Measured]
 

@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.offline.metrics import Rmse
-from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.core.linalg.quantiles import chi_square
-from dopslam_ros.simulation.scenario import Scenario, load_scenario, scenario_content
-from dopslam_ros.simulation.matched import nominal_bounds
+from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.lab.published import Published, PublishedBounds, published
 from dopslam_ros.lab.study.results import Results
+from dopslam_ros.offline.metrics import Rmse
+from dopslam_ros.simulation.matched import nominal_bounds
+from dopslam_ros.simulation.scenario import Scenario, load_scenario, scenario_content
 
 # The scenes that stand for the paper's simulations, and for its figure of the bounds.
 PAPER_SCENE = "paper"

@@ -13,12 +13,21 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.style import context as style_context
 
-from dopslam_ros.offline.metrics import Rmse
 from dopslam_ros.lab.figures import numbers
 from dopslam_ros.lab.figures.panels import band, curve, grid, legend, line, log_scale, pairs
-from dopslam_ros.lab.figures.style import LOOKS, PUBLISHED, RC, Look, doppler_colours, kind, looks, save
+from dopslam_ros.lab.figures.style import (
+    LOOKS,
+    PUBLISHED,
+    RC,
+    Look,
+    doppler_colours,
+    kind,
+    looks,
+    save,
+)
 from dopslam_ros.lab.published import Kind, published
 from dopslam_ros.lab.study.results import Results
+from dopslam_ros.offline.metrics import Rmse
 
 # The filters that stand beside the paper's: the default, and the paper's form.
 COMPARED = ("joint", "marginal")

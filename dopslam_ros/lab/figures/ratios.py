@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from dopslam_ros.lab.figures import numbers
 from dopslam_ros.lab.figures.style import looks
-from dopslam_ros.system.files import json_text
 from dopslam_ros.lab.published import Kind, Published, published
 from dopslam_ros.lab.study.results import Results
+from dopslam_ros.system.files import json_text
 
 LANDMARKS: tuple[Kind, ...] = ("va", "sp")
 # What stands for the filter where bounds are compared.

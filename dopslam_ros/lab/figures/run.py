@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.offline.metrics import state_errors
 from dopslam_ros.core.linalg.quantiles import chi_square
+from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.lab.figures.style import BOUND, ESTIMATE, TRUTH
 from dopslam_ros.messages.filter_output import ELLIPSOID_PROBABILITY, LOOKS
+from dopslam_ros.offline.metrics import state_errors
 from dopslam_ros.offline.replay import Replay
 
 MARKS = {LandmarkType.BS: "^", LandmarkType.VA: "s", LandmarkType.SP: "o"}

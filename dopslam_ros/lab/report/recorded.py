@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, BagTypeError, deserialize
+from dopslam_ros.messages import topics
 
 Reports = dict[str, list[tuple[str, str]]]
 

@@ -9,18 +9,27 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.offline.evaluation import summarise
-from dopslam_ros.core.settings.parameters import declarations
 from dopslam_ros.core.linalg.quantiles import chi_square
-from dopslam_ros.messages.filter_output import ELLIPSOID_PROBABILITY
-from dopslam_ros.offline.replay import Replay
+from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.core.settings.parameters import declarations
 from dopslam_ros.lab.report.charts import SOURCE_COLOURS, Section, sections
 from dopslam_ros.lab.report.page import DASHES as SWATCHES
-from dopslam_ros.lab.report.page import card, notice, page, section, swatch, table, tiles, time_range
+from dopslam_ros.lab.report.page import (
+    card,
+    notice,
+    page,
+    section,
+    swatch,
+    table,
+    tiles,
+    time_range,
+)
 from dopslam_ros.lab.report.recorded import Reports
 from dopslam_ros.lab.report.scene import NAMES, Source, extent_of, scene_of
 from dopslam_ros.lab.report.series import Series, series_of
+from dopslam_ros.messages.filter_output import ELLIPSOID_PROBABILITY
+from dopslam_ros.offline.evaluation import summarise
+from dopslam_ros.offline.replay import Replay
 
 MAGNIFICATIONS = (1, 3, 10, 30)
 # Ellipses are magnified until they are at least so large, over the size of the scene.

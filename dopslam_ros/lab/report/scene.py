@@ -9,13 +9,13 @@ from enum import IntEnum
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.association.assignment import UNASSIGNED
-from dopslam_ros.core.models.channel import COMPONENTS, LandmarkType, incidence_points
+from dopslam_ros.core.models.channel import incidence_points
 from dopslam_ros.core.pmb import LandmarkEstimates
 from dopslam_ros.core.pmb.estimates import reported_landmarks
 from dopslam_ros.core.session.filtering import FilterOutput
-from dopslam_ros.offline.replay import Replay
+from dopslam_ros.core.settings.layout import COMPONENTS, NONE, LandmarkType
 from dopslam_ros.lab.report.series import Series
+from dopslam_ros.offline.replay import Replay
 
 # What is not reported as a landmark yet is shown from this probability of existence on, when its
 # place is not worse known than so many times report_std.
@@ -162,7 +162,7 @@ def _association(output: FilterOutput) -> tuple[IntArray, FloatArray]:
     found = output.associations
     if not len(found.ids):
         count = len(output.measurements)
-        return np.full(count, UNASSIGNED), np.zeros(count)
+        return np.full(count, NONE), np.zeros(count)
     best = found.ids[int(np.argmax(found.weight))]
     return best, found.weight @ (found.ids == best)
 

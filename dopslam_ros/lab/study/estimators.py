@@ -11,19 +11,21 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.association.assignment import UNASSIGNED
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.core.pmb import Associations, FilterParameters, LandmarkEstimates
-from dopslam_ros.core.pmb.state import UE
-from dopslam_ros.core.pmb.step import BS_ID
-from dopslam_ros.lab.baselines.genie import genie_landmarks, genie_step, initial_genie
 from dopslam_ros.core.models.motion import Control, ControlSpan, predict_covariance, propagate_spans
-from dopslam_ros.core.settings.parameters import ParameterError, checked_values, parse_assignments, unknown_name
-from dopslam_ros.lab.baselines.phd import initial_phd, phd_landmarks, phd_step
-from dopslam_ros.simulation.scenario import Scenario
+from dopslam_ros.core.pmb import Associations, FilterParameters, LandmarkEstimates
 from dopslam_ros.core.session.filtering import FilterSession
-from dopslam_ros.simulation.simulator import Snapshot, all_landmarks
+from dopslam_ros.core.settings.layout import BS_ID, NONE, UE, LandmarkType
+from dopslam_ros.core.settings.parameters import (
+    ParameterError,
+    checked_values,
+    parse_assignments,
+    unknown_name,
+)
+from dopslam_ros.lab.baselines.genie import genie_landmarks, genie_step, initial_genie
+from dopslam_ros.lab.baselines.phd import initial_phd, phd_landmarks, phd_step
 from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import Scenario
+from dopslam_ros.simulation.simulator import Snapshot, all_landmarks
 
 
 @dataclass(frozen=True)
@@ -255,7 +257,7 @@ class SourceTracker:
             known: ids of the tracks before the snapshot.
         """
         owners = self._owners(set(known.tolist()))
-        true = [owners.get(source, UNASSIGNED) for source in snapshot.sources.tolist()]
+        true = [owners.get(source, NONE) for source in snapshot.sources.tolist()]
         right = (associations.ids == np.array(true, dtype=np.int64)).all(axis=1)
         for path, source in enumerate(snapshot.sources.tolist()):
             if source > 0:
@@ -263,7 +265,7 @@ class SourceTracker:
                 for track, weight in zip(
                     associations.ids[:, path].tolist(), associations.weight.tolist(), strict=True
                 ):
-                    key = (source, born if track == UNASSIGNED else track)
+                    key = (source, born if track == NONE else track)
                     self._fed[key] = self._fed.get(key, 0.0) + weight
         return float(associations.weight[right].sum())
 

@@ -9,15 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.channel import LandmarkType, observe
-from dopslam_ros.core.monitoring.health import Level
+from dopslam_ros.core.models.channel import observe
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.offline.metrics import nees, state_errors
 from dopslam_ros.core.models.motion import Control, propagate
-from dopslam_ros.simulation.scenario import Scenario
+from dopslam_ros.core.monitoring.health import Level
 from dopslam_ros.core.session.filtering import FilterSession
-from dopslam_ros.simulation.simulator import Snapshot, simulate
+from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.offline.metrics import nees, state_errors
 from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import Scenario
+from dopslam_ros.simulation.simulator import Snapshot, simulate
 
 BLACKOUT = 10.0  # [s]
 KIDNAPPED = 20.0  # [m]

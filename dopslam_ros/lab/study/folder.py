@@ -14,9 +14,17 @@ from urllib.parse import quote
 
 import numpy as np
 
-from dopslam_ros.system.files import json_text, write_whole
-from dopslam_ros.lab.study.plan import Plan, StudyError, Task, differences, doppler_name, parse_plan, plan_content
+from dopslam_ros.lab.study.plan import (
+    Plan,
+    StudyError,
+    Task,
+    differences,
+    doppler_name,
+    parse_plan,
+    plan_content,
+)
 from dopslam_ros.lab.study.run import FIELDS, Part
+from dopslam_ros.system.files import json_text, write_whole
 
 PLAN = "plan.json"
 PARTS = "parts"

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.system.files import json_text, write_whole
 from dopslam_ros.lab.study.plan import doppler_name
 from dopslam_ros.lab.study.results import Case, Results
 from dopslam_ros.lab.study.run import FIELDS, Outcome
+from dopslam_ros.system.files import json_text, write_whole
 
 FAILURES = "failures.txt"
 

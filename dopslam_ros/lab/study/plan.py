@@ -14,8 +14,8 @@ import scipy
 from dopslam_ros import __version__
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.settings.parameters import ParameterError, checked_values
-from dopslam_ros.simulation.scenario import Scenario, parse_scenario, scenario_content
 from dopslam_ros.lab.study.estimators import check_label
+from dopslam_ros.simulation.scenario import Scenario, parse_scenario, scenario_content
 
 
 class StudyError(ValueError):

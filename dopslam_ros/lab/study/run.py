@@ -8,15 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.offline.evaluation import StepRecord, judge_step
+from dopslam_ros.core.session.bounding import BoundsSession, WorldState
+from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.core.settings.model import with_doppler_std
-from dopslam_ros.core.session.filtering import BoundsSession, WorldState
-from dopslam_ros.simulation.simulator import all_landmarks, simulate
-from dopslam_ros.simulation.matched import bounds_parameters_for
-from dopslam_ros.system.stopping import Stop, until_stopped
 from dopslam_ros.lab.study.estimators import make_estimator
 from dopslam_ros.lab.study.plan import Plan, StudyError, Task, run_generator, software
+from dopslam_ros.offline.evaluation import StepRecord, judge_step
+from dopslam_ros.simulation.matched import bounds_parameters_for
+from dopslam_ros.simulation.simulator import all_landmarks, simulate
+from dopslam_ros.system.stopping import Stop, until_stopped
 
 # Errors in x, y [m], heading [rad], clock bias [m]; GOSPA [m]; bounds [m], [rad], [m].
 FIELDS = (

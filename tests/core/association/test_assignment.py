@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
+from dopslam_ros.core.association.assignment import clusters, k_best_assignments
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.association.assignment import UNASSIGNED, clusters, k_best_assignments
+from dopslam_ros.core.settings.layout import NONE
 
 
 def every_assignment(cost: FloatArray, idle_cost: FloatArray) -> dict[tuple[int, ...], float]:
@@ -17,11 +18,11 @@ def every_assignment(cost: FloatArray, idle_cost: FloatArray) -> dict[tuple[int,
     rows, columns = cost.shape
     found = {}
     for choice in itertools.product(range(-1, columns), repeat=rows):
-        taken = [column for column in choice if column != UNASSIGNED]
+        taken = [column for column in choice if column != NONE]
         if len(set(taken)) < len(taken):
             continue
         parts = [
-            idle_cost[row] if column == UNASSIGNED else cost[row, column]
+            idle_cost[row] if column == NONE else cost[row, column]
             for row, column in enumerate(choice)
         ]
         if np.isfinite(parts).all():
@@ -105,7 +106,7 @@ def test_a_single_row_ranks_its_columns() -> None:
     every = np.append(cost[0], idle)
     np.testing.assert_array_equal(ranked.costs, np.sort(every))
     order = np.argsort(every)
-    np.testing.assert_array_equal(ranked.columns[:, 0], np.where(order < 30, order, UNASSIGNED))
+    np.testing.assert_array_equal(ranked.columns[:, 0], np.where(order < 30, order, NONE))
 
 
 def test_ties_come_out_the_same_every_time() -> None:
@@ -142,17 +143,17 @@ def test_large_problems_against_scipy(seed: int) -> None:
     others = []
     for row, column in enumerate(ranked.columns[0].tolist()):
         without, without_idle = cost.copy(), idle.copy()
-        (without_idle if column == UNASSIGNED else without[row])[
-            row if column == UNASSIGNED else column
-        ] = np.inf
+        (without_idle if column == NONE else without[row])[row if column == NONE else column] = (
+            np.inf
+        )
         others.append(cheapest(without, without_idle))
     assert ranked.costs[1] == pytest.approx(min(others))
     # All are possible, differ, and cost what they say.
     assert len({tuple(columns) for columns in ranked.columns.tolist()}) == 40
     for columns, total in zip(ranked.columns, ranked.costs, strict=True):
-        given = np.flatnonzero(columns != UNASSIGNED)
+        given = np.flatnonzero(columns != NONE)
         assert len(set(columns[given].tolist())) == len(given)
-        paid = cost[given, columns[given]].sum() + idle[columns == UNASSIGNED].sum()
+        paid = cost[given, columns[given]].sum() + idle[columns == NONE].sum()
         assert total == pytest.approx(paid)
 
 
@@ -202,7 +203,7 @@ def test_nothing_to_assign_is_one_assignment() -> None:
 
 def test_no_columns_leaves_all_idle() -> None:
     ranked = k_best_assignments(np.zeros((3, 0)), np.array([1.0, 2.0, 4.0]), 5)
-    assert ranked.columns.tolist() == [[UNASSIGNED] * 3] and ranked.costs.tolist() == [7.0]
+    assert ranked.columns.tolist() == [[NONE] * 3] and ranked.costs.tolist() == [7.0]
 
 
 def test_impossible_problems_have_no_assignment() -> None:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.association import murty as assignment_kernels
-from dopslam_ros.core.linalg.jit import exposed
+from dopslam_ros.core.linalg.jit import from_python
 
-combine = exposed(assignment_kernels.combine)
-insert = exposed(assignment_kernels.insert)
+combine = from_python(assignment_kernels.combine)
+insert = from_python(assignment_kernels.insert)
 
 
 @pytest.mark.parametrize("size", [1, 3, 8, 30])

@@ -6,21 +6,22 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.association import shortest_path as matching_kernels
-from dopslam_ros.core.linalg.jit import exposed
-from dopslam_ros.core.association.shortest_path import FREE, OPEN, Search, Solution, Sparse, sparse
+from dopslam_ros.core.association.shortest_path import Search, Solution, Sparse, sparse
+from dopslam_ros.core.linalg.arrays import FloatArray
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.settings.layout import NONE
 
-augment = exposed(matching_kernels.augment)
-price_rows = exposed(matching_kernels.price_rows)
+augment = from_python(matching_kernels.augment)
+price_rows = from_python(matching_kernels.price_rows)
 
 
 def nothing_given(rows: int, columns: int) -> tuple[Solution, Search]:
     ints = np.empty((3, columns + 1), np.int64)
     return (
         Solution(
-            np.full(rows, OPEN),
-            np.full(columns + 1, FREE),
+            np.full(rows, NONE),
+            np.full(columns + 1, NONE),
             np.empty(rows),
             np.zeros(columns + 1),
         ),
@@ -35,11 +36,11 @@ def assert_proven(problem: Sparse, solution: Solution, columns: int) -> None:
     for column in range(columns):
         holders = np.flatnonzero(has == column)
         assert len(holders) <= 1
-        assert solution.row[column] == (holders[0] if len(holders) else FREE)
+        assert solution.row[column] == (holders[0] if len(holders) else NONE)
     reduced = problem.cost - solution.u[problem.row] - solution.v[problem.column]
     assert np.all(reduced > -1e-9) and np.all(solution.v <= 1e-9)
     np.testing.assert_allclose(reduced[solution.pair], 0.0, atol=1e-9)
-    np.testing.assert_array_equal(solution.v[solution.row == FREE], 0.0)
+    np.testing.assert_array_equal(solution.v[solution.row == NONE], 0.0)
 
 
 def cheapest(problem: Sparse, rows: int, columns: int) -> float:
@@ -77,7 +78,7 @@ def test_prices_prove_each_solution_and_what_comes_of_it_when_a_pair_is_forbidde
         pair = solution.pair[row]
         problem.cost[pair] = np.inf
         target = problem.column[pair]
-        solution.pair[row], solution.row[target] = OPEN, FREE
+        solution.pair[row], solution.row[target] = NONE, NONE
         possible = augment(problem, solution, search, row, target, 0)
         assert possible == np.isfinite(cheapest(problem, rows, columns))
         if not possible:

@@ -15,9 +15,9 @@ from dopslam_ros.core.linalg.jit import cache_folder
 
 COMPILES = """
 import numpy as np
-from dopslam_ros.core.linalg.jit import exposed
+from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.linalg import small
-cholesky = exposed(small.cholesky)
+cholesky = from_python(small.cholesky)
 assert cholesky(np.eye(2), 2)
 print(sum(cholesky.stats.cache_hits.values()))
 """
@@ -70,7 +70,7 @@ def test_the_folder_is_named_after_the_text_of_all_kernels(
 
 
 def test_nobody_calls_a_part_from_python() -> None:
-    """It would crash the process: outside the kernels a part is exposed, or not mentioned."""
+    """It would crash the process: outside the kernels a part is from_python, or not mentioned."""
     kernels = Path(module.__file__).parent
     parts = {
         (file.stem, node.name)
@@ -87,13 +87,13 @@ def test_nobody_calls_a_part_from_python() -> None:
 
 
 def mentioned(tree: ast.Module) -> set[tuple[str, str]]:
-    """Kernels (module, name) that a text names anywhere but as the argument of ``exposed``."""
+    """Kernels (module, name) that a text names anywhere but as the argument of ``from_python``."""
     package, found = module.__name__.rpartition(".")[0], set()
     modules: dict[str, str] = {}
-    exposed = [
+    from_python = [
         node.args[0]
         for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "exposed"
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "from_python"
     ]
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module == package:
@@ -102,7 +102,7 @@ def mentioned(tree: ast.Module) -> set[tuple[str, str]]:
             inner = str(node.module).rpartition(".")[2]
             found.update((inner, alias.name) for alias in node.names)
     for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and node not in exposed:
+        if isinstance(node, ast.Attribute) and node not in from_python:
             owner = modules.get(getattr(node.value, "id", ""))
             if owner is not None:
                 found.add((owner, node.attr))

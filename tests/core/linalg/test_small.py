@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg import small as small_kernels
-from dopslam_ros.core.linalg.jit import exposed
+from dopslam_ros.core.linalg.jit import from_python
 
-backward = exposed(small_kernels.backward)
-cholesky = exposed(small_kernels.cholesky)
-forward = exposed(small_kernels.forward)
-forward_columns = exposed(small_kernels.forward_columns)
-log_determinant = exposed(small_kernels.log_determinant)
-solve_bordered = exposed(small_kernels.solve_bordered)
+backward = from_python(small_kernels.backward)
+cholesky = from_python(small_kernels.cholesky)
+forward = from_python(small_kernels.forward)
+forward_columns = from_python(small_kernels.forward_columns)
+log_determinant = from_python(small_kernels.log_determinant)
+solve_bordered = from_python(small_kernels.solve_bordered)
 
 
 @pytest.mark.parametrize("n", range(1, 9))

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray, wrap_angle
-from dopslam_ros.core.models.channel import AZIMUTHS, DIM, DOPPLER, LandmarkType, incidence_points, observe, residual
 from dopslam_ros.core.models import channel_kernels as kernels
+from dopslam_ros.core.models.channel import incidence_points, observe, residual
+from dopslam_ros.core.settings.layout import AZIMUTHS, DIM, DOPPLER, LandmarkType
 
 BS = np.array([3.0, -5.0, 40.0])
 GEOMETRIES = range(60)

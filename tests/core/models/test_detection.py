@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from dopslam_ros.core.models.detection import detection_probabilities, log_clutter_intensity
 from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.core.settings.model import ModelParameters, clutter_box, component_names, detection_probabilities, log_clutter_intensity, with_doppler_std
+from dopslam_ros.core.settings.bounding import BoundsParameters
+from dopslam_ros.core.settings.model import (
+    ModelParameters,
+    clutter_box,
+    component_names,
+    with_doppler_std,
+)
 from dopslam_ros.core.settings.parameters import declarations, shared_values
 from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.core.session.filtering import BoundsParameters
 
 UE = np.array([10.0, 20.0, 0.0])
 

@@ -10,8 +10,12 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.channel import DIM
-from dopslam_ros.core.models.measurements import MOST_PATHS, InvalidMeasurements, checked_measurements
+from dopslam_ros.core.models.measurements import (
+    MOST_PATHS,
+    InvalidMeasurements,
+    checked_measurements,
+)
+from dopslam_ros.core.settings.layout import DIM
 
 Arguments: TypeAlias = tuple[FloatArray, FloatArray]
 

@@ -9,7 +9,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dopslam_ros.core.linalg.arrays import FloatArray, wrap_angle
-from dopslam_ros.core.models.motion import Control, ControlSpan, predict_covariance, propagate, propagate_spans, propagation_jacobian
+from dopslam_ros.core.models.motion import (
+    Control,
+    ControlSpan,
+    predict_covariance,
+    propagate,
+    propagate_spans,
+    propagation_jacobian,
+)
 
 STATE = np.array([70.7, -3.0, 1.2, 300.0])
 

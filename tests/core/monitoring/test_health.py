@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.core.monitoring.health import LOST_AT, Level
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.simulation.scenario import Scenario, load_scenario
+from dopslam_ros.core.monitoring.health import LOST_AT, Level
+from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
-from dopslam_ros.simulation.simulator import simulate
 from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import Scenario, load_scenario
+from dopslam_ros.simulation.simulator import simulate
 
 
 def outputs_of(
@@ -37,7 +37,7 @@ def test_a_sound_run_is_never_lost_and_far_from_it(scene: str) -> None:
     for seed in range(2):
         outputs = outputs_of(scenario, filter_parameters_for(scenario), seed)
         assert all(o.health.level != Level.LOST for o in outputs)
-        assert max(o.health.doubt for o in outputs) < LOST_AT
+        assert max(o.health.cusum for o in outputs) < LOST_AT
         if scene == "paper":
             assert {o.health.level for o in outputs} == {Level.OK}
             assert 0.6 < outputs[-1].health.nis_ratio < 1.4

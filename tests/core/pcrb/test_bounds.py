@@ -9,15 +9,24 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
-from dopslam_ros.core.pcrb.bounds import Bounds, BoundState, bounds_of, information_split, initial_bound, predict_bound, update_bound
-from dopslam_ros.core.models.channel import DIM, LandmarkType, observe
-from dopslam_ros.core.settings.model import with_doppler_std
+from dopslam_ros.core.models.channel import observe
 from dopslam_ros.core.models.motion import Control, ControlSpan, propagate, propagation_jacobian
-from dopslam_ros.simulation.scenario import Blockage, Scenario, load_scenario
-from dopslam_ros.core.session.filtering import BoundsOutput, BoundsSession, WorldState
-from dopslam_ros.simulation.simulator import all_landmarks, nominal_trajectory, visible
-from dopslam_ros.simulation.matched import bounds_parameters_for, nominal_bounds
+from dopslam_ros.core.pcrb.bounds import (
+    Bounds,
+    BoundState,
+    bounds_of,
+    information_split,
+    initial_bound,
+    predict_bound,
+    update_bound,
+)
+from dopslam_ros.core.session.bounding import BoundsOutput, BoundsSession, WorldState
+from dopslam_ros.core.settings.layout import DIM, LandmarkType
+from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.lab.published import published
+from dopslam_ros.simulation.matched import bounds_parameters_for, nominal_bounds
+from dopslam_ros.simulation.scenario import Blockage, Scenario, load_scenario
+from dopslam_ros.simulation.simulator import all_landmarks, nominal_trajectory, visible
 
 SIGMAS = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, None]
 IDS = np.arange(9)

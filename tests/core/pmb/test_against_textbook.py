@@ -17,14 +17,19 @@ import pytest
 import textbook
 
 from dopslam_ros.core.linalg.arrays import FloatArray, wrap_angle
-from dopslam_ros.core.association.assignment import UNASSIGNED
-from dopslam_ros.core.models.channel import DIM
-from dopslam_ros.core.pmb import Associations, FilterParameters, FilterState, initial_filter_state, step
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control, ControlSpan
+from dopslam_ros.core.pmb import (
+    Associations,
+    FilterParameters,
+    FilterState,
+    initial_filter_state,
+    step,
+)
+from dopslam_ros.core.settings.layout import DIM, NONE
+from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.simulation.simulator import simulate
-from dopslam_ros.simulation.matched import filter_parameters_for
 
 STEPS = 15
 TOLERANCE = 1e-7
@@ -103,12 +108,12 @@ def weights_by_ids(found: Associations) -> Counter[tuple[int | None, ...]]:
     """The weight of each association in terms of landmarks; types of them together."""
     weights: Counter[tuple[int | None, ...]] = Counter()
     for row, weight in zip(found.ids.tolist(), found.weight.tolist(), strict=True):
-        weights[tuple(None if i == UNASSIGNED else i for i in row)] += weight
+        weights[tuple(None if i == NONE else i for i in row)] += weight
     return weights
 
 
 def compare(state: FilterState, density: textbook.Density) -> None:
-    """Vehicle, map and their covariance, existence, types, ids; who is awake in which order."""
+    """Vehicle, map and their covariance, existence, types, ids; who is active in which order."""
     assert state.next_id == density.next_id
     known = {landmark.id: landmark for landmark in density.landmarks}
     assert sorted(state.track_id.tolist()) == sorted(known)
@@ -130,11 +135,13 @@ def compare(state: FilterState, density: textbook.Density) -> None:
     difference = (state.covariance - covariance) / np.outer(std, std)
     np.testing.assert_allclose(difference, 0.0, atol=TOLERANCE)
 
-    sleepers = {sleeper.landmark.id: sleeper for sleeper in density.sleepers}
-    everybody = state.asleep.everybody
-    assert sorted(sleepers) == ([] if everybody is None else sorted(everybody.track_id.tolist()))
+    inactive_landmarks = {sleeper.landmark.id: sleeper for sleeper in density.inactive_landmarks}
+    everybody = state.inactive.everybody
+    assert sorted(inactive_landmarks) == (
+        [] if everybody is None else sorted(everybody.track_id.tolist())
+    )
     for row, number in enumerate([] if everybody is None else everybody.track_id.tolist()):
-        sleeper = sleepers[number]
+        sleeper = inactive_landmarks[number]
         assert everybody.existence[row] == pytest.approx(sleeper.landmark.existence, abs=TOLERANCE)
         error = (everybody.q[row] - sleeper.q) / np.sqrt(np.diagonal(sleeper.covariance))
         np.testing.assert_allclose(error, 0.0, atol=TOLERANCE)
@@ -151,9 +158,9 @@ def test_the_step_is_that_of_the_textbook(scene: str, coupling: str, seed: int) 
     scenario = replace(load_scenario("paper"), **models)
     parameters: FilterParameters = filter_parameters_for(scenario, **settings)
     state, density = initial_filter_state(parameters), textbook.start(parameters)
-    split = woken = 0
+    split = reactivated = 0
     for measurements, spans, speed in inputs(scenario, seed):
-        slept = {sleeper.landmark.id for sleeper in density.sleepers}
+        slept = {sleeper.landmark.id for sleeper in density.inactive_landmarks}
         ours = step(state, measurements, spans, speed, parameters)
         theirs = textbook.textbook_step(density, measurements, spans, speed, parameters)
         state, (density, hypotheses) = ours.state, theirs
@@ -167,11 +174,11 @@ def test_the_step_is_that_of_the_textbook(scene: str, coupling: str, seed: int) 
         )
         compare(state, density)
         split += len(hypotheses) > len(weights)
-        woken += len(slept & {landmark.id for landmark in density.landmarks})
+        reactivated += len(slept & {landmark.id for landmark in density.landmarks})
     # The run had everything: a map, as many associations as allowed, landmarks of open type.
     assert len(density.landmarks) >= 4 and len(hypotheses) == parameters.gamma
     assert split > 0 or scene not in list(SCENES)[:3]
-    assert woken > 2 or scene != "round in small circles"
+    assert reactivated > 2 or scene != "round in small circles"
 
 
 def test_a_step_without_paths() -> None:

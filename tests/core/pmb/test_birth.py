@@ -10,18 +10,18 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.channel import DIM, observe, residual
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.models import incidence as incidence_kernels
+from dopslam_ros.core.models.channel import observe, residual
+from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
 from dopslam_ros.core.pmb.birth_from_python import propose
 from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.state import UNKNOWN_TYPES
-from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
-from dopslam_ros.core.models import incidence as incidence_kernels
-from dopslam_ros.core.linalg.jit import exposed
 from dopslam_ros.core.pmb.records import Births
-from dopslam_ros.core.models.measurements import MeasurementSet
+from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
+from dopslam_ros.core.settings.layout import DIM, UNKNOWN_TYPES
 
-incidence_points = exposed(incidence_kernels.incidence_points)
+incidence_points = from_python(incidence_kernels.incidence_points)
 
 SPEED = 22.22
 # A weak enough prior on the height that it does not move a landmark whose elevation is measured.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dopslam_ros.core.pmb.coordinates import frames, jacobians, placements, positions
 from dopslam_ros.core.pmb import coordinates_kernels as kernels
+from dopslam_ros.core.pmb.coordinates import frames, jacobians, placements, positions
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.association.assignment import UNASSIGNED
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb import hypotheses as kernels
-from dopslam_ros.core.linalg.jit import exposed
-from dopslam_ros.core.pmb.hypotheses import LOG_TINY
-from dopslam_ros.core.pmb.records import Births, Evidence, Hypotheses, LocalWeights
+from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.models.measurements import MeasurementSet
+from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
+from dopslam_ros.core.pmb import hypotheses as kernels
+from dopslam_ros.core.pmb.hypotheses import LOG_TINY
+from dopslam_ros.core.pmb.observed import prepare
+from dopslam_ros.core.pmb.records import Births, Hypotheses, Likelihoods, LocalWeights
+from dopslam_ros.core.settings.layout import NONE
 
-_associate = exposed(kernels.associate)
-weigh_locally = exposed(kernels.weigh_locally)
+_associate = from_python(kernels.associate)
+weigh_locally = from_python(kernels.weigh_locally)
 
 PARAMETERS = FilterParameters(gamma=1000)
 
@@ -56,11 +56,11 @@ def every_association(weights: LocalWeights) -> dict[tuple[int, ...], float]:
     tracks, paths = weights.track.shape
     found = {}
     for choice in itertools.product(range(-1, tracks), repeat=paths):
-        taken = [track for track in choice if track != UNASSIGNED]
+        taken = [track for track in choice if track != NONE]
         if len(set(taken)) < len(taken):
             continue
         log_weight = sum(
-            weights.new[path] if track == UNASSIGNED else weights.track[track, path]
+            weights.new[path] if track == NONE else weights.track[track, path]
             for path, track in enumerate(choice)
         )
         log_weight += sum(weights.missed[t] for t in range(tracks) if t not in taken)
@@ -96,9 +96,9 @@ def test_landmarks_of_open_type_split_an_association_by_type(seed: int) -> None:
     owner = np.array([0, 1, 1, 2, 3, 3])
     summed: dict[tuple[int, ...], float] = {}
     for columns, sources, weight in zip(ranked.track, ranked.source, ranked.weight, strict=True):
-        given = sources != UNASSIGNED
+        given = sources != NONE
         np.testing.assert_array_equal(owner[sources[given]], columns[given])
-        assert np.all(columns[~given] == UNASSIGNED)
+        assert np.all(columns[~given] == NONE)
         share = np.exp(
             weights.source[sources[given], np.flatnonzero(given)]
             - weights.track[columns[given], np.flatnonzero(given)]
@@ -179,7 +179,7 @@ def test_local_weights_of_what_is_sure_or_impossible() -> None:
     paths = MeasurementSet(np.zeros((2, 6)), np.zeros((2, 6, 6)))
     observed = prepare(paths, replace(PARAMETERS, clutter_mean=0.0))
     log_likelihood = np.array([[0.0, -np.inf]] * 5)
-    fit = Evidence(
+    fit = Likelihoods(
         np.zeros((5, 6, 4)),
         np.zeros((5, 6, 3)),
         np.array([1.0, 0.9, 1.0, 0.9, 0.0]),

@@ -1,4 +1,4 @@
-"""Landmarks out of view: the filter that keeps everything awake as the witness."""
+"""Landmarks out of view: the filter that keeps everything active as the witness."""
 
 from __future__ import annotations
 
@@ -8,16 +8,22 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state, reported_landmarks, step
-from dopslam_ros.core.pmb import step as step_function
-from dopslam_ros.core.pmb.inactive import FORGOTTEN, as_of_now, fall_asleep, wake_up
-from dopslam_ros.core.pmb.coordinates import frames, placements
-from dopslam_ros.core.pmb.inactive_grid import Asleep, Sleepers, together
-from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.core.models.motion import Control, ControlSpan
+from dopslam_ros.core.pmb import (
+    FilterParameters,
+    FilterState,
+    initial_filter_state,
+    reported_landmarks,
+    step,
+)
+from dopslam_ros.core.pmb import step as step_function
+from dopslam_ros.core.pmb.coordinates import frames, placements
+from dopslam_ros.core.pmb.inactive import FORGOTTEN, as_of_now, deactivate, reactivate
+from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks, together
+from dopslam_ros.core.settings.model import with_doppler_std
+from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import simulate
-from dopslam_ros.simulation.matched import filter_parameters_for
 
 PARAMETERS = FilterParameters()
 VA, SP = 1, 2
@@ -65,20 +71,20 @@ def moved(state: FilterState, x: float, y: float) -> FilterState:
 
 
 def test_only_scattering_points_out_of_view_fall_asleep() -> None:
-    state = fall_asleep(state_with(*SCENE), PARAMETERS)
+    state = deactivate(state_with(*SCENE), PARAMETERS)
     assert state.track_id.tolist() == [1, 3, 4]
     assert sorted(state.all_track_ids.tolist()) == [1, 2, 3, 4, 5]
-    assert len(state.asleep) == 2
-    again = fall_asleep(state, PARAMETERS)
+    assert len(state.inactive) == 2
+    again = deactivate(state, PARAMETERS)
     assert again is state
-    assert wake_up(state, PARAMETERS) is state
+    assert reactivate(state, PARAMETERS) is state
 
 
 def test_what_slept_while_nothing_happened_comes_back_as_it_was_given_the_anchors() -> None:
     before = state_with(*SCENE)
-    after = wake_up(moved(fall_asleep(before, PARAMETERS), 120.0, 0.0), PARAMETERS)
+    after = reactivate(moved(deactivate(before, PARAMETERS), 120.0, 0.0), PARAMETERS)
     assert after.track_id.tolist() == [1, 3, 4, 2]
-    assert len(after.asleep) == 1
+    assert len(after.inactive) == 1
     old = np.r_[7:10]  # track 2 before, now the last block
     new = np.r_[13:16]
     anchors_old, anchors_new = np.r_[4:7, 13:16], np.r_[4:7, 10:13]
@@ -97,15 +103,15 @@ def test_what_slept_while_nothing_happened_comes_back_as_it_was_given_the_anchor
 def test_a_sleeper_learns_what_its_anchors_learn() -> None:
     """As a Kalman update of all would have it, were it independent of the rest given them."""
     before = state_with(*SCENE)
-    asleep = fall_asleep(before, PARAMETERS)
+    inactive = deactivate(before, PARAMETERS)
     old, anchors = np.r_[7:10], np.r_[4:7, 13:16]
-    learnt = asleep.mean.copy()
+    learnt = inactive.mean.copy()
     learnt[[4, 5, 6, 10, 11, 12]] += [0.1, 0.002, 0.0, -0.2, 0.0, 0.001]
-    shrunk = asleep.covariance.copy()
+    shrunk = inactive.covariance.copy()
     factor = np.ones(len(shrunk))
     factor[[4, 5, 6, 10, 11, 12]] = 0.5
-    state = asleep.but(mean=learnt, covariance=shrunk * np.outer(factor, factor))
-    everybody = state.asleep.everybody
+    state = inactive.but(mean=learnt, covariance=shrunk * np.outer(factor, factor))
+    everybody = state.inactive.everybody
     assert everybody is not None
     q, covariance = as_of_now(state, everybody)
     row = everybody.track_id.tolist().index(2)
@@ -121,9 +127,9 @@ def test_a_sleeper_learns_what_its_anchors_learn() -> None:
 
 def test_without_its_anchor_a_sleeper_is_what_it_was() -> None:
     before = state_with(*SCENE)
-    state = fall_asleep(before, PARAMETERS)
+    state = deactivate(before, PARAMETERS)
     lost = state.only(np.array([False, True, True]), np.array([False, True, True]))
-    after = wake_up(moved(lost, 120.0, 0.0), PARAMETERS)
+    after = reactivate(moved(lost, 120.0, 0.0), PARAMETERS)
     np.testing.assert_allclose(after.mean[-3:], before.mean[7:10])
     np.testing.assert_allclose(after.covariance[-3:, -3:], before.covariance[7:10, 7:10])
     assert not after.covariance[-3:, :-3].any()
@@ -131,9 +137,9 @@ def test_without_its_anchor_a_sleeper_is_what_it_was() -> None:
 
 def test_a_map_without_anchors_sleeps_too() -> None:
     before = state_with([FAR, NEAR], [SP, SP])
-    state = fall_asleep(before, PARAMETERS)
+    state = deactivate(before, PARAMETERS)
     assert state.track_id.tolist() == [2]
-    after = wake_up(moved(state, 120.0, 0.0), PARAMETERS)
+    after = reactivate(moved(state, 120.0, 0.0), PARAMETERS)
     np.testing.assert_allclose(after.covariance[-3:, -3:], before.covariance[4:7, 4:7])
 
 
@@ -141,23 +147,23 @@ def test_what_hardly_exists_is_forgotten_when_it_is_left_behind() -> None:
     state = state_with(*SCENE)
     existence = state.existence.copy()
     existence[[1, 2]] = 0.5 * FORGOTTEN
-    state = fall_asleep(state.but(existence=existence), PARAMETERS)
+    state = deactivate(state.but(existence=existence), PARAMETERS)
     assert sorted(state.all_track_ids.tolist()) == [1, 3, 4, 5]
 
 
 def test_the_reported_map_holds_those_asleep() -> None:
     before = state_with(*SCENE)
     shown = reported_landmarks(before, PARAMETERS)
-    asleep = reported_landmarks(fall_asleep(before, PARAMETERS), PARAMETERS)
-    np.testing.assert_array_equal(asleep.ids, shown.ids)
-    np.testing.assert_array_equal(asleep.types, shown.types)
-    np.testing.assert_allclose(asleep.positions, shown.positions, atol=1e-9)
-    np.testing.assert_allclose(asleep.covariances, shown.covariances, atol=1e-9)
+    inactive = reported_landmarks(deactivate(before, PARAMETERS), PARAMETERS)
+    np.testing.assert_array_equal(inactive.ids, shown.ids)
+    np.testing.assert_array_equal(inactive.types, shown.types)
+    np.testing.assert_allclose(inactive.positions, shown.positions, atol=1e-9)
+    np.testing.assert_allclose(inactive.covariances, shown.covariances, atol=1e-9)
 
 
-def sleepers_at(place: FloatArray, reach: FloatArray, anchors: int) -> Sleepers:
+def sleepers_at(place: FloatArray, reach: FloatArray, anchors: int) -> InactiveLandmarks:
     count = len(place)
-    return Sleepers(
+    return InactiveLandmarks(
         track_id=np.arange(count),
         existence=np.ones(count),
         reach=reach,
@@ -177,16 +183,16 @@ def sleepers_at(place: FloatArray, reach: FloatArray, anchors: int) -> Sleepers:
 def test_the_grid_finds_what_a_search_through_all_finds(seed: int) -> None:
     rng = np.random.default_rng(seed)
     place, reach = rng.uniform(-600.0, 600.0, (800, 3)), rng.uniform(20.0, 90.0, 800)
-    asleep = Asleep()
+    inactive = InactiveGrid()
     everybody = sleepers_at(place, reach, 2)
     for rows in np.array_split(rng.permutation(800), 40):
-        asleep = asleep.with_more(everybody.rows(rows), 50.0)
-    assert len(asleep) == 800
+        inactive = inactive.with_more(everybody.rows(rows), 50.0)
+    assert len(inactive) == 800
     for ue in rng.uniform(-700.0, 700.0, (30, 2)):
-        found, rest = asleep.take(ue, 1.5, 50.0)
+        found, rest = inactive.take(ue, 1.5, 50.0)
         near = np.flatnonzero(np.linalg.norm(place[:, :2] - ue, axis=1) <= reach + 1.5)
         assert sorted([] if found is None else found.track_id.tolist()) == near.tolist()
-        assert len(rest) == 800 - len(near) and len(asleep) == 800
+        assert len(rest) == 800 - len(near) and len(inactive) == 800
 
 
 def test_sleepers_with_different_numbers_of_anchors_go_together() -> None:
@@ -201,7 +207,7 @@ def test_sleepers_with_different_numbers_of_anchors_go_together() -> None:
 def test_two_laps_give_what_a_filter_that_never_sleeps_gives(
     doppler: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first SP comes into view again after 27 steps asleep."""
+    """The first SP comes into view again after 27 steps inactive."""
     scenario = with_doppler_std(load_scenario("paper"), doppler)
     scenario = replace(scenario, controls=(Control(22.22, np.pi / 10.0),) * 60)
     parameters = filter_parameters_for(scenario)
@@ -218,10 +224,10 @@ def test_two_laps_give_what_a_filter_that_never_sleeps_gives(
 
     sleeping, fewest = run()
     module = __import__("sys").modules[step_function.__module__]
-    monkeypatch.setattr(module, "fall_asleep", lambda state, _: state)
-    awake, fewest_awake = run()
+    monkeypatch.setattr(module, "deactivate", lambda state, _: state)
+    active, fewest_awake = run()
     assert fewest < fewest_awake
-    for one, other in zip(sleeping, awake, strict=True):
+    for one, other in zip(sleeping, active, strict=True):
         sigma = np.sqrt(np.diag(other.ue_covariance))
         assert np.all(np.abs(one.ue_mean - other.ue_mean) < 0.1 * sigma)
         ratio = np.diag(one.ue_covariance) / np.diag(other.ue_covariance)

@@ -10,19 +10,20 @@ import pytest
 from scipy.stats import chi2, multivariate_normal
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.channel import DIM, observe, residual
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.pmb.birth_from_python import propose
-from dopslam_ros.core.pmb.observed import gaussian_terms, prepare
-from dopslam_ros.core.pmb.coordinates import frames, placements, positions
-from dopslam_ros.core.pmb import likelihood as kernels
-from dopslam_ros.core.pmb import hypotheses as hypotheses_kernels
-from dopslam_ros.core.linalg.jit import exposed
-from dopslam_ros.core.pmb.records import Births, Evidence, LocalWeights, Observed
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.models.channel import observe, residual
 from dopslam_ros.core.models.measurements import MeasurementSet
+from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
+from dopslam_ros.core.pmb import hypotheses as hypotheses_kernels
+from dopslam_ros.core.pmb import likelihood as kernels
+from dopslam_ros.core.pmb.birth_from_python import propose
+from dopslam_ros.core.pmb.coordinates import frames, placements, positions
+from dopslam_ros.core.pmb.observed import gaussian_terms, prepare
+from dopslam_ros.core.pmb.records import Births, Likelihoods, LocalWeights, Observed
+from dopslam_ros.core.settings.layout import DIM
 
-_weigh = exposed(kernels.weigh)
-weigh_locally = exposed(hypotheses_kernels.weigh_locally)
+_weigh = from_python(kernels.weigh)
+weigh_locally = from_python(hypotheses_kernels.weigh_locally)
 
 PARAMETERS = FilterParameters(gate_probability=1.0 - 1e-12)
 SPEED = 22.22
@@ -39,7 +40,7 @@ MASKS = [
 
 def weigh(
     state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
-) -> Evidence:
+) -> Likelihoods:
     """The evidence that a step has."""
     fit, sound = _weigh(state.density, observed, speed, parameters.constants)
     assert sound
@@ -49,7 +50,7 @@ def weigh(
 def local_weights(
     state: FilterState,
     observed: Observed,
-    fit: Evidence,
+    fit: Likelihoods,
     births: Births,
     parameters: FilterParameters,
 ) -> LocalWeights:

@@ -7,23 +7,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state, step
-from dopslam_ros.core.pmb import observed as evidence_module
-from dopslam_ros.core.pmb.known_map import map_of, with_map
-from dopslam_ros.core.pmb.state import UE
-from dopslam_ros.core.pmb.step import advance
-from dopslam_ros.core.pmb import localisation as localise_kernels
-from dopslam_ros.core.pmb import step_kernels as step_kernels
-from dopslam_ros.core.pmb import update as update_kernels
-from dopslam_ros.core.linalg.jit import exposed
+from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.models.motion import ControlSpan
+from dopslam_ros.core.pmb import (
+    FilterParameters,
+    FilterState,
+    initial_filter_state,
+    step,
+    step_kernels,
+)
+from dopslam_ros.core.pmb import localisation as localise_kernels
+from dopslam_ros.core.pmb import observed as evidence_module
+from dopslam_ros.core.pmb import update as update_kernels
+from dopslam_ros.core.pmb.known_map import map_of, with_map
+from dopslam_ros.core.pmb.step import advance
+from dopslam_ros.core.settings.layout import UE
+from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.simulation.simulator import Snapshot, simulate
-from dopslam_ros.simulation.matched import filter_parameters_for
 
-consider = exposed(localise_kernels.consider)
-rank = exposed(step_kernels.rank)
-condition = exposed(update_kernels.condition)
+consider = from_python(localise_kernels.consider)
+rank = from_python(step_kernels.rank)
+condition = from_python(update_kernels.condition)
 
 SCENARIO = load_scenario("paper")
 PARAMETERS = filter_parameters_for(SCENARIO)
@@ -132,7 +137,7 @@ def test_the_merge_over_hypotheses_matches_the_moments(learned: FilterState) -> 
 
 
 def test_nothing_is_born_and_no_byte_of_the_map_in_view_changes() -> None:
-    """Walls only, so that nothing falls asleep: the map's block stays bit by bit."""
+    """Walls only, so that nothing falls inactive: the map's block stays bit by bit."""
     walls = replace(
         SCENARIO,
         landmarks=SCENARIO.landmarks[SCENARIO.landmark_types == 1],

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.lab.study.plan import Plan
 from dopslam_ros.lab.study.results import Collection, Results
 from dopslam_ros.lab.study.run import run_task
 from dopslam_ros.lab.study.summary import LAST_STEPS, summarise_study
+from dopslam_ros.simulation.scenario import load_scenario
 
 SEED = 8_128
 # Errors at the end of a run over their bound; the worst of 4080 runs had 4.2.

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.lab.published import published
 from dopslam_ros.lab.study.plan import Plan
 from dopslam_ros.lab.study.results import Collection, Results
 from dopslam_ros.lab.study.run import run_task
 from dopslam_ros.lab.study.summary import summarise_study
+from dopslam_ros.simulation.scenario import Scenario, load_scenario
 
 SEED = 40_417
 RUNS = 10

@@ -8,14 +8,22 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.pmb import FilterParameters, FilterState, Mixture, initial_filter_state, initial_mixture, mixture_step, step
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.core.models.motion import ControlSpan
+from dopslam_ros.core.pmb import (
+    FilterParameters,
+    FilterState,
+    Mixture,
+    initial_filter_state,
+    initial_mixture,
+    mixture_step,
+    step,
+)
+from dopslam_ros.core.settings.model import with_doppler_std
+from dopslam_ros.lab.study.plan import run_generator
+from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import Snapshot, simulate
-from dopslam_ros.simulation.matched import filter_parameters_for
-from dopslam_ros.lab.study.plan import run_generator
 
 # Without Doppler and with much clutter, so that the filter doubts.
 SCENARIO = replace(with_doppler_std(load_scenario("paper"), None), clutter_mean=4.0)

@@ -10,16 +10,22 @@ import pytest
 from scipy.linalg import block_diag
 
 from dopslam_ros.core.linalg.arrays import FloatArray, wrap_angle
-from dopslam_ros.core.association.assignment import UNASSIGNED
-from dopslam_ros.core.models.channel import DIM, LandmarkType, observe
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state, reported_landmarks, step
-from dopslam_ros.core.pmb.coordinates import frames, placements
-from dopslam_ros.core.pmb.step import predict
+from dopslam_ros.core.models.channel import observe
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control, ControlSpan
+from dopslam_ros.core.pmb import (
+    FilterParameters,
+    FilterState,
+    initial_filter_state,
+    reported_landmarks,
+    step,
+)
+from dopslam_ros.core.pmb.coordinates import frames, placements
+from dopslam_ros.core.pmb.step import predict
+from dopslam_ros.core.settings.layout import DIM, NONE, LandmarkType
+from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import simulate
-from dopslam_ros.simulation.matched import filter_parameters_for
 
 SPEED, TURN, PERIOD = 22.22, math.pi / 10.0, 0.5
 SPAN = ControlSpan(Control(SPEED, TURN), PERIOD)
@@ -193,7 +199,7 @@ def test_a_path_far_from_everything_becomes_a_new_landmark_with_a_new_id() -> No
     new = np.array([[10.0, 180.0, 40.0]])
     values = observe(state.ue_mean, SPEED, new, np.array([1]), parameters.bs).mean
     outcome = step(state, set_of(values), [], SPEED, parameters)
-    assert outcome.associations.ids[0].tolist() == [UNASSIGNED]
+    assert outcome.associations.ids[0].tolist() == [NONE]
     assert outcome.associations.born.tolist() == [2]
     assert outcome.state.track_id.tolist() == [1, 2] and outcome.state.next_id == 3
     born = outcome.state.positions[outcome.state.component_track == 1]

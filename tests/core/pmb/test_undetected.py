@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.core.pmb.undetected import Undetected, looked_from, nothing_seen
-from dopslam_ros.core.models import detection_kernels as detection_kernels
-from dopslam_ros.core.linalg.jit import exposed
-from dopslam_ros.core.models.detection_kernels import MOST_VIEWPOINTS
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.pmb import FilterParameters, undetected_kernels
+from dopslam_ros.core.pmb.records import Undetected
+from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
+from dopslam_ros.core.pmb.undetected_kernels import MOST_VIEWPOINTS
 
-log_share_left = exposed(detection_kernels.log_share_left)
+log_share_left = from_python(undetected_kernels.log_share_left)
 
 PARAMETERS = FilterParameters()
 FLOOR = 1e-3

@@ -10,22 +10,29 @@ import pytest
 from scipy.linalg import block_diag
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
-from dopslam_ros.core.association.assignment import UNASSIGNED
-from dopslam_ros.core.models.channel import DIM
+from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
-from dopslam_ros.core.pmb.coordinates import frames, jacobians
 from dopslam_ros.core.pmb import merge as merge_kernels
 from dopslam_ros.core.pmb import newborn as newborn_kernels
 from dopslam_ros.core.pmb import update as update_kernels
-from dopslam_ros.core.linalg.jit import exposed
+from dopslam_ros.core.pmb.coordinates import frames, jacobians
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
-from dopslam_ros.core.pmb.records import Births, Conditioned, Density, Evidence, Hypotheses, Observed, Updated
+from dopslam_ros.core.pmb.records import (
+    Births,
+    Conditioned,
+    Density,
+    Hypotheses,
+    Likelihoods,
+    Observed,
+    Updated,
+)
+from dopslam_ros.core.settings.layout import DIM, NONE
 
-judge = exposed(merge_kernels.judge)
-merge = exposed(merge_kernels.merge)
-augment = exposed(newborn_kernels.augment)
-newborn = exposed(newborn_kernels.newborn)
-condition = exposed(update_kernels.condition)
+judge = from_python(merge_kernels.judge)
+merge = from_python(merge_kernels.merge)
+augment = from_python(newborn_kernels.augment)
+newborn = from_python(newborn_kernels.newborn)
+condition = from_python(update_kernels.condition)
 
 PARAMETERS = FilterParameters()
 # What no hypothesis supports goes all the same.
@@ -60,7 +67,7 @@ def state_of(
 
 def linear_problem(
     rng: np.random.Generator, state: FilterState, used: BoolArray
-) -> tuple[Observed, Evidence]:
+) -> tuple[Observed, Likelihoods]:
     """Paths of a linear model: z = A_i s + B_i q_i + noise."""
     sources, count = len(state.component_track) + 1, len(used)
     a = rng.normal(size=(sources, DIM, 4))
@@ -72,7 +79,7 @@ def linear_problem(
     both = used[:, :, None] & used[:, None, :]
     noise = np.where(both, random_covariance(rng, count, DIM), np.eye(DIM))
     innovation = np.where(used, z - h[:, None, :], 0.0)
-    fit = Evidence(
+    fit = Likelihoods(
         ue_jacobian=a,
         landmark_jacobian=b,
         detection=np.full(sources, 0.9),
@@ -83,13 +90,13 @@ def linear_problem(
 
 
 def kalman(
-    state: FilterState, observed: Observed, fit: Evidence, source: list[int]
+    state: FilterState, observed: Observed, fit: Likelihoods, source: list[int]
 ) -> tuple[FloatArray, FloatArray]:
     """The textbook update in information form, one row of H per component that was measured."""
     information = np.linalg.inv(state.covariance)
     vector = information @ state.mean
     for path, i in enumerate(source):
-        if i == UNASSIGNED:
+        if i == NONE:
             continue
         h = np.zeros((DIM, len(state.mean)))
         h[:, :4] = fit.ue_jacobian[i]
@@ -104,11 +111,11 @@ def kalman(
     return covariance @ vector, covariance
 
 
-def joint_nis(state: FilterState, observed: Observed, fit: Evidence, source: list[int]) -> float:
+def joint_nis(state: FilterState, observed: Observed, fit: Likelihoods, source: list[int]) -> float:
     """v' S^-1 v with all rows of H, and so all of S, in one piece."""
     rows, noises, innovations = [np.zeros((0, len(state.mean)))], [], [np.zeros(0)]
     for path, i in enumerate(source):
-        if i == UNASSIGNED:
+        if i == NONE:
             continue
         has, h = observed.used[path], np.zeros((DIM, len(state.mean)))
         h[:, :4] = fit.ue_jacobian[i]
@@ -129,7 +136,7 @@ def test_condition_is_the_linear_kalman_filter(seed: int) -> None:
     used = rng.random((4, DIM)) < (0.7 if seed % 2 else 1.0)
     used[:, 1] = True
     observed, fit = linear_problem(rng, state, used)
-    source = [[0, 3, UNASSIGNED, 2], [UNASSIGNED, 4, 1, 3], [UNASSIGNED] * 4, [0, 1, 3, 4]]
+    source = [[0, 3, NONE, 2], [NONE, 4, 1, 3], [NONE] * 4, [0, 1, 3, 4]]
     updated = condition(state.mean, state.covariance, fit, observed, np.array(source))
     assert updated.sound
     for row, sources in enumerate(source):
@@ -157,11 +164,11 @@ def test_what_hypotheses_share_is_counted_once_each(seed: int) -> None:
     rng = np.random.default_rng(seed)
     state = state_of(rng, [[1, 2], *([[2]] * 12)])
     observed, fit = linear_problem(rng, state, rng.random((16, DIM)) < 0.8)
-    best = np.append(rng.permutation(15), UNASSIGNED)[:16]
+    best = np.append(rng.permutation(15), NONE)[:16]
     source = np.repeat(best[None], 9, 0)
     for row in range(1, 9):
         for path in rng.choice(4 if seed % 2 else 16, 1 + row % 3, replace=False):
-            source[row, path] = UNASSIGNED
+            source[row, path] = NONE
     updated = condition(state.mean, state.covariance, fit, observed, source)
     for row, sources in enumerate(source.tolist()):
         mean, covariance = kalman(state, observed, fit, sources)
@@ -188,7 +195,7 @@ def test_condition_without_any_assignment_is_the_prediction(paths: int) -> None:
     rng = np.random.default_rng(31)
     state = state_of(rng, [[2]])
     observed, fit = linear_problem(rng, state, np.ones((paths, DIM), dtype=bool))
-    source = np.full((1, paths), UNASSIGNED)
+    source = np.full((1, paths), NONE)
     updated = condition(state.mean, state.covariance, fit, observed, source)
     np.testing.assert_allclose(updated.means[0], state.mean, rtol=1e-12)
     np.testing.assert_allclose(updated.covariance, state.covariance, rtol=1e-12)
@@ -316,8 +323,8 @@ def test_judge_follows_bayes() -> None:
         component_weight=np.array([0.7, 0.3, 1.0]),
     )
     detection = np.array([0.9, 0.9, 0.5, 0.8])
-    source = np.array([[2, UNASSIGNED], [3, 0], [UNASSIGNED, UNASSIGNED]])
-    existence, types = judge(state.density, detection, np.full(2, UNASSIGNED), source)
+    source = np.array([[2, NONE], [3, 0], [NONE, NONE]])
+    existence, types = judge(state.density, detection, np.full(2, NONE), source)
     q = 0.7 * 0.1 + 0.3 * 0.5
     missed = np.array([0.6 * q / (0.4 + 0.6 * q), 0.9 * 0.2 / (0.1 + 0.9 * 0.2)])
     np.testing.assert_allclose(existence, [[1.0, missed[1]], [missed[0], 1.0], missed], rtol=1e-12)
@@ -340,12 +347,12 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     state = state_of(rng, [[1]])
     births = births_of(rng, np.log([[3e-9, 1e-30, 1e-9], [1e-9, 1e-30, 1e-30]]))
     new = np.log([8e-9, 5e-9, 2e-9])
-    track = np.array([[UNASSIGNED, UNASSIGNED, UNASSIGNED], [UNASSIGNED, 0, 1]])
+    track = np.array([[NONE, NONE, NONE], [NONE, 0, 1]])
     ranked = Hypotheses(track, track, np.array([0.4, 0.6]), 0.0)
     born = newborn(births.log_intensity, new, ranked, PARAMETERS.prune_existence)
     density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
-    after = FilterState(density, state.asleep)
-    assert birth_track.tolist() == [1, UNASSIGNED, 2]
+    after = FilterState(density, state.inactive)
+    assert birth_track.tolist() == [1, NONE, 2]
     assert after.track_id.tolist() == [1, 2, 3] and after.next_id == 4
     np.testing.assert_allclose(after.existence, [0.9, 0.5, 0.5])  # rho / (c + rho)
     assert after.component_type.tolist() == [1, 1, 2, 1]
@@ -387,7 +394,7 @@ def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
     state = state_of(rng, [[1]])
     births = births_of(rng, np.log([[1e-9, 1e-9], [1e-30, 1e-30]]))
     new = np.log([4e-9, 4e-9])
-    track = np.array([[UNASSIGNED, UNASSIGNED], [1, UNASSIGNED]])
+    track = np.array([[NONE, NONE], [1, NONE]])
     ranked = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
     born = newborn(births.log_intensity, new, ranked, PARAMETERS.prune_existence)
     density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.pmb import FilterParameters, FilterState
-from dopslam_ros.core.pmb.inactive_grid import Asleep
-from dopslam_ros.core.pmb.state import UE
-from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, Saved, SavedError
-from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.core.session.filtering import FilterSession
-from dopslam_ros.simulation.simulator import simulate
+from dopslam_ros.core.pmb.inactive_grid import InactiveGrid
+from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_file import MOST_BYTES, VERSION, decode, to_bytes
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.settings.layout import UE
 from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.simulation.simulator import simulate
 
 PREFIX = struct.Struct("<8sIIQ")
 START = PREFIX.size + 32
@@ -49,10 +49,10 @@ def parts(data: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 @pytest.fixture(scope="module")
-def paper() -> Saved:
-    """A snapshot of the paper's scene, with landmarks asleep."""
+def paper() -> Checkpoint:
+    """A snapshot of the paper's scene, with landmarks inactive."""
     saved = session_after("paper", 20).snapshot()
-    assert len(saved.mixture.best.asleep) > 0
+    assert len(saved.mixture.best.inactive) > 0
     return saved
 
 
@@ -78,37 +78,37 @@ def test_everything_comes_back(scene: str, steps: int, settings: dict[str, Any])
             np.testing.assert_array_equal(one.mean, other.mean)
             np.testing.assert_array_equal(one.covariance, other.covariance)
             np.testing.assert_array_equal(one.all_track_ids, other.all_track_ids)
-            assert list(one.asleep.cells) == list(other.asleep.cells)
+            assert list(one.inactive.cells) == list(other.inactive.cells)
             for cell, same in zip(
-                one.asleep.cells.values(), other.asleep.cells.values(), strict=True
+                one.inactive.cells.values(), other.inactive.cells.values(), strict=True
             ):
                 np.testing.assert_array_equal(cell.gain, same.gain)
                 assert cell.gain.flags.c_contiguous and cell.gain.flags.writeable
         again.check(saved.kind, filtering.parameters)
 
 
-def test_every_flipped_bit_is_refused(paper: Saved) -> None:
+def test_every_flipped_bit_is_refused(paper: Checkpoint) -> None:
     data = bytearray(to_bytes(paper))
     for place in range(len(data)):
         for bit in (1, 128) if place > 200 else (1, 2, 4, 8, 16, 32, 64, 128):
             data[place] ^= bit
-            with pytest.raises(SavedError):
+            with pytest.raises(CheckpointError):
                 decode(bytes(data))
             data[place] ^= bit
     assert to_bytes(decode(bytes(data))) == bytes(data)
 
 
-def test_every_cut_and_every_addition_is_refused(paper: Saved) -> None:
+def test_every_cut_and_every_addition_is_refused(paper: Checkpoint) -> None:
     data = to_bytes(paper)
     for size in [*range(0, 300), *range(300, len(data), 97)]:
-        with pytest.raises(SavedError, match=r"cut off|no map or snapshot"):
+        with pytest.raises(CheckpointError, match=r"cut off|no map or snapshot"):
             decode(data[:size])
-    with pytest.raises(SavedError, match="not as it says"):
+    with pytest.raises(CheckpointError, match="not as it says"):
         decode(data + b"\0")
 
 
-def test_flips_with_a_right_checksum_are_refused_or_make_a_sound_state(paper: Saved) -> None:
-    """Somebody who can count can also sign: nothing but SavedError may come of it."""
+def test_flips_with_a_right_checksum_are_refused_or_make_a_sound_state(paper: Checkpoint) -> None:
+    """Somebody who can count can also sign: nothing but CheckpointError may come of it."""
     header, payload = parts(to_bytes(paper))
     text = json.dumps(header).encode()
     rng = np.random.default_rng(11)
@@ -120,7 +120,7 @@ def test_flips_with_a_right_checksum_are_refused_or_make_a_sound_state(paper: Sa
             target[int(rng.integers(len(target)))] ^= 1 << int(rng.integers(8))
         try:
             saved = decode(signed(bytes(spoilt_text), bytes(spoilt)))
-        except SavedError:
+        except CheckpointError:
             continue
         taken += 1
         for state in saved.mixture.hypotheses:
@@ -151,37 +151,37 @@ Change = Callable[[dict[str, Any]], object]
         (lambda h: h["parameters"].update(sp_field_of_view=float("nan")), "no sense|elsewhere"),
     ],
 )
-def test_a_hostile_header_is_refused(paper: Saved, change: Change, match: str) -> None:
+def test_a_hostile_header_is_refused(paper: Checkpoint, change: Change, match: str) -> None:
     header, payload = parts(to_bytes(paper))
     change(header)
-    with pytest.raises(SavedError, match=match):
+    with pytest.raises(CheckpointError, match=match):
         decode(signed(header, payload))
 
 
 @pytest.mark.parametrize("text", [b"[" * 100_000, b"", b"\xff", b"{}", b"[]", b"1e999", b"nul"])
 def test_a_header_that_is_no_header_is_refused(text: bytes) -> None:
-    with pytest.raises(SavedError, match="no sense"):
+    with pytest.raises(CheckpointError, match="no sense"):
         decode(signed(text, b""))
 
 
-def test_another_version_and_other_files_are_refused(paper: Saved) -> None:
+def test_another_version_and_other_files_are_refused(paper: Checkpoint) -> None:
     header, payload = parts(to_bytes(paper))
-    with pytest.raises(SavedError, match=f"version {VERSION + 1}"):
+    with pytest.raises(CheckpointError, match=f"version {VERSION + 1}"):
         decode(signed(header, payload, VERSION + 1))
     for data in (b"", b"hello", b"\x89MCAP0\r\n" + bytes(100)):
-        with pytest.raises(SavedError, match="no map or snapshot"):
+        with pytest.raises(CheckpointError, match="no map or snapshot"):
             decode(data)
 
 
-def with_best(saved: Saved, best: FilterState) -> Saved:
+def with_best(saved: Checkpoint, best: FilterState) -> Checkpoint:
     return replace(saved, mixture=replace(saved.mixture, hypotheses=(best,)))
 
 
-def spoil(saved: Saved, **changes: Any) -> Saved:
+def spoil(saved: Checkpoint, **changes: Any) -> Checkpoint:
     return with_best(saved, saved.mixture.best.but(**changes))
 
 
-def test_what_is_no_density_is_refused(paper: Saved) -> None:
+def test_what_is_no_density_is_refused(paper: Checkpoint) -> None:
     best = paper.mixture.best
     mean, covariance = best.mean.copy(), best.covariance.copy()
     mean[5] = np.nan
@@ -201,22 +201,22 @@ def test_what_is_no_density_is_refused(paper: Saved) -> None:
         "right angles": spoil(paper, axes=best.axes * 1.01),
         "same id": spoil(paper, track_id=best.track_id * 0 + 1),
         "id is out of range": spoil(paper, next_id=1),
-        "a reach": with_best(paper, replace(best, asleep=Asleep(best.asleep.cells, 0.0))),
+        "a reach": with_best(paper, replace(best, inactive=InactiveGrid(best.inactive.cells, 0.0))),
         "no vehicle": replace(paper, kind=MAP),
         "where none can be": replace(paper, known=paper),
         "in order": replace(paper, controls=paper.controls * 2),
     }
     for match, saved in spoilt.items():
-        with pytest.raises(SavedError, match=match):
+        with pytest.raises(CheckpointError, match=match):
             decode(to_bytes(saved))
     decode(to_bytes(spoil(paper, axes=mirrored)))  # handedness is of no matter to a frame
 
 
-def test_another_filter_refuses_it(paper: Saved) -> None:
+def test_another_filter_refuses_it(paper: Checkpoint) -> None:
     parameters = filter_parameters_for(load_scenario("paper"))
     saved = decode(to_bytes(paper))
     saved.check(SNAPSHOT, parameters)
-    with pytest.raises(SavedError, match="give a map"):
+    with pytest.raises(CheckpointError, match="give a map"):
         saved.check(MAP, parameters)
     others: dict[str, FilterParameters] = {
         "bs_position": replace(parameters, bs_position=(0.0, 0.0, 41.0)),
@@ -227,7 +227,7 @@ def test_another_filter_refuses_it(paper: Saved) -> None:
         "mapping": replace(parameters, mapping=False),
     }
     for name, other in others.items():
-        with pytest.raises(SavedError, match=name):
+        with pytest.raises(CheckpointError, match=name):
             saved.check(SNAPSHOT, other)
     known = session_after("paper", 20).known_map()
     assert not known.mixture.best.mean[:UE].any()
@@ -235,5 +235,5 @@ def test_another_filter_refuses_it(paper: Saved) -> None:
         if name in ("coupling", "density", "mapping"):
             known.check(MAP, other)
         else:
-            with pytest.raises(SavedError, match=name):
+            with pytest.raises(CheckpointError, match=name):
                 known.check(MAP, other)

@@ -9,16 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dopslam_ros.core.session.events import Event, Pauses
-from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.core.pmb.state import UE
 from dopslam_ros.core.models.refusal import Refused
-from dopslam_ros.core.session.checkpoint import BEFORE_ALL, Saved, SavedError
-from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
-from dopslam_ros.simulation.simulator import Snapshot, simulate
+from dopslam_ros.core.pmb import FilterParameters
+from dopslam_ros.core.session.checkpoint import BEFORE_ALL, Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_file import decode, to_bytes
+from dopslam_ros.core.session.events import Event, Pauses
+from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
+from dopslam_ros.core.settings.layout import UE
 from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.simulation.simulator import Snapshot, simulate
 
 SCENARIO = load_scenario("paper")
 PARAMETERS = filter_parameters_for(SCENARIO)
@@ -27,7 +27,7 @@ KNOWN = replace(PARAMETERS, mapping=False)
 
 @pytest.fixture(scope="module")
 def snapshots() -> list[Snapshot]:
-    """A run of the paper's scene, long enough for landmarks to fall asleep and wake up."""
+    """A run of the paper's scene, long enough for landmarks to fall inactive and wake up."""
     return list(simulate(SCENARIO, np.random.default_rng(17)))
 
 
@@ -39,7 +39,7 @@ def feed(filtering: FilterSession, snapshots: Iterable[Snapshot]) -> list[Filter
     return outputs
 
 
-def through_a_file(saved: Saved) -> Saved:
+def through_a_file(saved: Checkpoint) -> Checkpoint:
     return decode(to_bytes(saved))
 
 
@@ -146,7 +146,7 @@ def test_a_map_is_loaded_around_the_vehicle(snapshots: list[Snapshot]) -> None:
     assert not after.best.covariance[:UE, UE:].any()
     own = known.mixture.best.covariance[UE:, UE:]
     np.testing.assert_array_equal(after.best.covariance[UE:, UE:], own)
-    with pytest.raises(SavedError, match="bs_position"):
+    with pytest.raises(CheckpointError, match="bs_position"):
         FilterSession(replace(PARAMETERS, bs_position=(1.0, 0.0, 40.0))).replace_map(known)
     assert feed(filtering, snapshots[5:10])[-1].landmarks.existence.max() > 0.9
 
@@ -158,8 +158,8 @@ def test_a_known_map_is_the_same_bytes_after_a_run(snapshots: list[Snapshot]) ->
     data = to_bytes(known)
     filtering = FilterSession(KNOWN)
     filtering.replace_map(through_a_file(known))
-    awake = {len(o.state.best.track_id) for o in feed(filtering, snapshots)}
-    assert len(awake) > 1, "landmarks fell asleep and woke up meanwhile"
+    active = {len(o.state.best.track_id) for o in feed(filtering, snapshots)}
+    assert len(active) > 1, "landmarks fell inactive and woke up meanwhile"
     assert to_bytes(filtering.known_map()) == data
     assert set(filtering.state.best.all_track_ids) == set(known.mixture.best.all_track_ids)
 
@@ -274,11 +274,11 @@ def test_a_snapshot_in_the_place_of_a_map_is_refused_and_changes_nothing(
     filtering = FilterSession(PARAMETERS)
     feed(filtering, snapshots[:3])
     state = filtering.state
-    with pytest.raises(SavedError):
+    with pytest.raises(CheckpointError):
         filtering.replace_map(filtering.snapshot())
-    with pytest.raises(SavedError):
+    with pytest.raises(CheckpointError):
         filtering.restore(filtering.known_map())
-    with pytest.raises(SavedError):
+    with pytest.raises(CheckpointError):
         filtering.schedule(Event("resume", BEFORE_ALL, saved=filtering.known_map()))
     assert filtering.state is state
 

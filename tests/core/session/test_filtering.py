@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dopslam_ros.core.monitoring import recovery as recovery_module
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.channel import DIM, DOPPLER
-from dopslam_ros.core.pmb import FilterParameters, initial_filter_state, mixture_step, step
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.core.models.motion import Control, ControlSpan, propagate_spans
 from dopslam_ros.core.models.refusal import Refused
-from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.core.monitoring import recovery as recovery_module
+from dopslam_ros.core.pmb import FilterParameters, initial_filter_state, mixture_step, step
 from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
-from dopslam_ros.simulation.simulator import Snapshot, simulate
+from dopslam_ros.core.settings.layout import DIM, DOPPLER
+from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.simulation.simulator import Snapshot, simulate
 
 SCENARIO = load_scenario("paper")
 PARAMETERS = filter_parameters_for(SCENARIO)

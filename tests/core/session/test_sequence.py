@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dopslam_ros.core.session import sequence
-from dopslam_ros.core.settings.model import OnlineParameters
 from dopslam_ros.core.models.motion import Control, ControlSpan, Drift
-from dopslam_ros.core.session.ordering import UNCONFIRMED
 from dopslam_ros.core.models.refusal import Refused
+from dopslam_ros.core.session import sequence
+from dopslam_ros.core.session.ordering import UNCONFIRMED
 from dopslam_ros.core.session.sequence import MOST_PENDING, Sequencer, Timed
+from dopslam_ros.core.settings.model import OnlineParameters
 
 SECOND = 1_000_000_000
 Released = list[Timed[str]]

@@ -13,10 +13,20 @@ import pytest
 import yaml
 
 from dopslam_ros.core.pmb import FilterParameters
+from dopslam_ros.core.settings.bounding import BoundsParameters
 from dopslam_ros.core.settings.model import ModelParameters, OnlineParameters
-from dopslam_ros.core.settings.parameters import ParameterError, checked, commented_yaml, declarations, from_mapping, parameter, shared_values, to_mapping, unknown_name
+from dopslam_ros.core.settings.parameters import (
+    ParameterError,
+    checked,
+    commented_yaml,
+    declarations,
+    from_mapping,
+    parameter,
+    shared_values,
+    to_mapping,
+    unknown_name,
+)
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
-from dopslam_ros.core.session.filtering import BoundsParameters
 
 CLASSES = [ModelParameters, OnlineParameters, FilterParameters, BoundsParameters]
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray
+from dopslam_ros.core.models.motion import ControlSpan
 from dopslam_ros.core.pmb import FilterParameters
+from dopslam_ros.core.session.bounding import BoundsSession, WorldState
+from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.lab.baselines.genie import genie_step, initial_genie
 from dopslam_ros.offline.metrics import nees, state_errors
-from dopslam_ros.core.settings.model import with_doppler_std
-from dopslam_ros.core.models.motion import ControlSpan
-from dopslam_ros.simulation.scenario import Scenario, load_scenario
-from dopslam_ros.core.session.filtering import BoundsSession, WorldState
-from dopslam_ros.simulation.simulator import all_landmarks, simulate
 from dopslam_ros.simulation.matched import bounds_parameters_for, filter_parameters_for
+from dopslam_ros.simulation.scenario import Scenario, load_scenario
+from dopslam_ros.simulation.simulator import all_landmarks, simulate
 
 RUNS = 48
 

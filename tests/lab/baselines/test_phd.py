@@ -10,17 +10,23 @@ import pytest
 from scipy.stats import chi2, multivariate_normal, norm
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.channel import DIM, DOPPLER, LandmarkType
-from dopslam_ros.offline.evaluation import StepRecord, judge_step, summarise
-from dopslam_ros.core.pmb import FilterParameters, initial_filter_state, step
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.core.models.motion import Control, ControlSpan
-from dopslam_ros.lab.baselines.phd import MOST_COMPONENTS, PhdState, initial_phd, phd_landmarks, phd_step
+from dopslam_ros.core.pmb import FilterParameters, initial_filter_state, step
+from dopslam_ros.core.settings.layout import DIM, DOPPLER, LandmarkType
+from dopslam_ros.core.settings.model import with_doppler_std
+from dopslam_ros.lab.baselines.phd import (
+    MOST_COMPONENTS,
+    PhdState,
+    initial_phd,
+    phd_landmarks,
+    phd_step,
+)
+from dopslam_ros.lab.study.plan import run_generator
+from dopslam_ros.offline.evaluation import StepRecord, judge_step, summarise
+from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import all_landmarks, simulate
-from dopslam_ros.simulation.matched import filter_parameters_for
-from dopslam_ros.lab.study.plan import run_generator
 
 SPEED, TURN, PERIOD = 22.22, math.pi / 10.0, 0.5
 SPAN = ControlSpan(Control(SPEED, TURN), PERIOD)

@@ -11,15 +11,25 @@ import numpy as np
 import pytest
 
 import dopslam_ros
-from dopslam_ros.lab.bench import batch, pieces, scaling, steps, suite
-from dopslam_ros.lab.bench.records import Figure, Measured, NotMeasured, Record, content_of, figure, milliseconds, read_record, times_as_long
-from dopslam_ros.lab.bench.suite import BENCHMARKS
-from dopslam_ros.lab.bench.table import number
 from dopslam_ros.cli.main import main
 from dopslam_ros.core.pmb import initial_filter_state, reported_landmarks
+from dopslam_ros.lab.bench import batch, pieces, scaling, steps, suite
+from dopslam_ros.lab.bench.records import (
+    Figure,
+    Measured,
+    NotMeasured,
+    Record,
+    content_of,
+    figure,
+    milliseconds,
+    read_record,
+    times_as_long,
+)
+from dopslam_ros.lab.bench.suite import BENCHMARKS
+from dopslam_ros.lab.bench.table import number
+from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import nominal_trajectory, visible
-from dopslam_ros.simulation.matched import filter_parameters_for
 
 FAST = ("step", "marginal", "map", "view", "bounds", "gospa", "assignment")
 
@@ -61,7 +71,7 @@ def test_the_map_in_the_filter_is_the_one_given() -> None:
     scenario = scaling.street(10, 240, 1)
     parameters = filter_parameters_for(scenario)
     state = scaling.with_map(parameters, scenario.landmarks, scenario.landmark_types)
-    assert len(state.track_id) == 10 and len(state.asleep) == 240
+    assert len(state.track_id) == 10 and len(state.inactive) == 240
     found = reported_landmarks(state, parameters)
     assert found.ids.tolist() == list(range(1, 251))
     np.testing.assert_allclose(found.positions, scenario.landmarks, atol=1e-6)

@@ -21,7 +21,6 @@ from matplotlib.figure import Figure
 from scipy.stats import gamma
 
 from dopslam_ros.cli.main import main
-from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.lab.figures.numbers import mean_square_band
 from dopslam_ros.lab.figures.paper import FIGURES, draw_study, missing
 from dopslam_ros.lab.figures.ratios import Ratio, all_ratios, write_ratios
@@ -30,6 +29,7 @@ from dopslam_ros.lab.study.estimators import KINDS
 from dopslam_ros.lab.study.plan import Plan
 from dopslam_ros.lab.study.results import Results
 from dopslam_ros.lab.study.run import FIELDS
+from dopslam_ros.simulation.scenario import load_scenario
 
 if TYPE_CHECKING:
     from tests.conftest import Processes

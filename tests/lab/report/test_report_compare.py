@@ -15,14 +15,14 @@ from scipy import stats
 
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.cli.main import main
-from dopslam_ros.core.models.channel import DOPPLER
-from dopslam_ros.offline.metrics import nees
-from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.cli.options import UsageError
-from dopslam_ros.offline.replay import Replay
+from dopslam_ros.core.settings.layout import DOPPLER
 from dopslam_ros.lab.report.cases import Case, bags_in, grouped, parse_case, run_cases
 from dopslam_ros.lab.report.comparison import compare
+from dopslam_ros.offline.metrics import nees
+from dopslam_ros.offline.replay import Replay
 from dopslam_ros.simulation.recording import write_simulation
+from dopslam_ros.simulation.scenario import load_scenario
 
 if TYPE_CHECKING:
     from tests.report.conftest import Browser

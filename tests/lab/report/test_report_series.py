@@ -10,16 +10,16 @@ import plotly.graph_objects as go
 import pytest
 from scipy.stats import chi2
 
-from dopslam_ros.messages import topics
 from dopslam_ros.bag import BagReader, deserialize
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.simulation.simulator import all_landmarks, simulate
-from dopslam_ros.offline.replay import Replay, replay
+from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.lab.report.charts import sections
 from dopslam_ros.lab.report.page import PALETTE
 from dopslam_ros.lab.report.scene import Source, extent_of, scene_of
 from dopslam_ros.lab.report.series import Series, series_of
+from dopslam_ros.messages import topics
+from dopslam_ros.offline.replay import Replay, replay
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.simulation.simulator import all_landmarks, simulate
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.lab.study.plan import Plan
 from dopslam_ros.lab.study.results import Collection, Results
 from dopslam_ros.lab.study.run import run_task
+from dopslam_ros.simulation.scenario import Scenario, load_scenario
 
 
 def study(plan: Plan) -> Results:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dopslam_ros.cli.main import main
-from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.lab.study.failure_injection import trial
 from dopslam_ros.cli.failure_injection import summarise_trials
+from dopslam_ros.cli.main import main
+from dopslam_ros.lab.study.failure_injection import trial
+from dopslam_ros.simulation.scenario import load_scenario
 
 SCENARIO = load_scenario("paper")
 RUNS = 12

@@ -10,17 +10,22 @@ import pytest
 from scipy.stats import chi2
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.association.assignment import UNASSIGNED
-from dopslam_ros.core.models.channel import LandmarkType
-from dopslam_ros.core.pmb import Associations
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control, propagate
-from dopslam_ros.core.settings.parameters import ParameterError
-from dopslam_ros.simulation.scenario import Scenario, load_scenario
+from dopslam_ros.core.pmb import Associations
 from dopslam_ros.core.session.filtering import FilterSession
-from dopslam_ros.simulation.simulator import CLUTTER, Snapshot, simulate
+from dopslam_ros.core.settings.layout import NONE, LandmarkType
+from dopslam_ros.core.settings.parameters import ParameterError
+from dopslam_ros.lab.study.estimators import (
+    KINDS,
+    Estimate,
+    EstimatorError,
+    SourceTracker,
+    make_estimator,
+)
 from dopslam_ros.simulation.matched import filter_parameters_for
-from dopslam_ros.lab.study.estimators import KINDS, Estimate, EstimatorError, SourceTracker, make_estimator
+from dopslam_ros.simulation.scenario import Scenario, load_scenario
+from dopslam_ros.simulation.simulator import CLUTTER, Snapshot, simulate
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +172,7 @@ def associations(rows: list[list[int]], weight: list[float], born: list[int]) ->
 
 def test_the_weight_of_the_correct_association() -> None:
     tracker = SourceTracker()
-    none, new = np.zeros(0, dtype=np.int64), UNASSIGNED
+    none, new = np.zeros(0, dtype=np.int64), NONE
     # BS, landmark 3 for the first time, clutter: right is the BS and twice new.
     first = associations([[0, new, new], [new, new, new]], [0.8, 0.2], [new, 7, 8])
     assert tracker.correct_weight(snapshot(0, 3, CLUTTER), first, none) == pytest.approx(0.8)
@@ -192,7 +197,7 @@ def test_the_weight_of_the_correct_association() -> None:
 
 def test_a_track_stands_for_one_landmark_only() -> None:
     tracker = SourceTracker()
-    none, new = np.zeros(0, dtype=np.int64), UNASSIGNED
+    none, new = np.zeros(0, dtype=np.int64), NONE
     tracker.correct_weight(snapshot(1), associations([[new]], [1.0], [7]), none)
     # Landmark 2 is taken for track 7 as well, less surely.
     mixed = associations([[7], [new]], [0.6, 0.4], [8])
@@ -203,12 +208,12 @@ def test_a_track_stands_for_one_landmark_only() -> None:
 
 def test_several_hypotheses_with_the_right_association_add_up() -> None:
     # The same association twice: split by the type of a landmark.
-    twice = associations([[0], [0], [UNASSIGNED]], [0.5, 0.3, 0.2], [UNASSIGNED])
+    twice = associations([[0], [0], [NONE]], [0.5, 0.3, 0.2], [NONE])
     weight = SourceTracker().correct_weight(snapshot(0), twice, np.zeros(0, dtype=np.int64))
     assert weight == pytest.approx(0.8)
 
 
 def test_none_right_is_zero() -> None:
-    wrong = associations([[UNASSIGNED]], [1.0], [4])
+    wrong = associations([[NONE]], [1.0], [4])
     weight = SourceTracker().correct_weight(snapshot(0), wrong, np.zeros(0, dtype=np.int64))
     assert weight == 0.0

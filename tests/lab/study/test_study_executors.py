@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 
 import dopslam_ros
-from dopslam_ros.simulation.scenario import Scenario
 from dopslam_ros.lab.study import executors
 from dopslam_ros.lab.study.executors import blas_is_limited, run_local, run_on_dask
 from dopslam_ros.lab.study.plan import Plan, StudyError, Task, software
 from dopslam_ros.lab.study.run import Outcome
+from dopslam_ros.simulation.scenario import Scenario
 
 # The extra 'cluster', which rosdep has no keys for; `make setup` installs it.
 threadpoolctl = pytest.importorskip("threadpoolctl")

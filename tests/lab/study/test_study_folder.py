@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dopslam_ros.simulation.scenario import Scenario
 from dopslam_ros.lab.study.folder import DamagedPart, open_folder, part_path, read_part, write_part
 from dopslam_ros.lab.study.plan import Plan, StudyError, Task
 from dopslam_ros.lab.study.results import Collection, Results, load_results
 from dopslam_ros.lab.study.run import FIELDS, Part
+from dopslam_ros.simulation.scenario import Scenario
 
 TASK = Task("dead_reckoning:gamma=3", 0.1, 2)
 

@@ -10,10 +10,24 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.settings.parameters import ParameterError
-from dopslam_ros.simulation.scenario import Scenario, load_scenario, parse_scenario, scenario_content
-from dopslam_ros.system.files import json_text
+from dopslam_ros.lab.study.plan import (
+    Plan,
+    StudyError,
+    Task,
+    differences,
+    parse_plan,
+    plan_content,
+    run_generator,
+    software,
+)
+from dopslam_ros.simulation.scenario import (
+    Scenario,
+    load_scenario,
+    parse_scenario,
+    scenario_content,
+)
 from dopslam_ros.simulation.scenes import builtin_scenarios
-from dopslam_ros.lab.study.plan import Plan, StudyError, Task, differences, parse_plan, plan_content, run_generator, software
+from dopslam_ros.system.files import json_text
 
 
 def same(a: Scenario, b: Scenario) -> bool:

@@ -8,14 +8,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dopslam_ros.offline.evaluation import judge_step
 from dopslam_ros.core.settings.model import with_doppler_std
-from dopslam_ros.simulation.scenario import Scenario
-from dopslam_ros.simulation.simulator import simulate
 from dopslam_ros.lab.study.estimators import make_estimator
 from dopslam_ros.lab.study.plan import Plan, Task, run_generator, software
 from dopslam_ros.lab.study.results import Results
 from dopslam_ros.lab.study.run import FIELDS, check_software, execute, run_task
+from dopslam_ros.offline.evaluation import judge_step
+from dopslam_ros.simulation.scenario import Scenario
+from dopslam_ros.simulation.simulator import simulate
 
 FILTERS = ("joint", "marginal", "genie", "dead_reckoning")
 DOPPLERS = (0.1, 0.5, None)

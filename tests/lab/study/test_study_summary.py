@@ -10,11 +10,11 @@ import pytest
 from scipy import stats
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.simulation.scenario import Scenario
 from dopslam_ros.lab.study.plan import Plan
 from dopslam_ros.lab.study.results import Case, Results
 from dopslam_ros.lab.study.run import FIELDS
 from dopslam_ros.lab.study.summary import nees_band, summarise_study
+from dopslam_ros.simulation.scenario import Scenario
 
 STEPS = 14
 STDS = {"error_x": 0.3, "error_y": 0.2, "error_heading": 0.004, "error_clock": 0.1}
