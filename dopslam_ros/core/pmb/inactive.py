@@ -2,8 +2,8 @@
 
 A landmark that cannot be detected learns only through what it has in common with the rest. Of that,
 nearly all goes through the virtual anchors, which stay in view: given them, an SP that was left
-behind and the vehicle of later hardly depend on each other. So a landmark that becomes inactive keeps
-its regression on the anchors,
+behind and the vehicle of later hardly depend on each other. So a landmark that becomes inactive
+keeps its regression on the anchors,
 
     q = q_then + gain (anchor_q - anchor_q_then) + noise of covariance ``residual``,
 
@@ -77,14 +77,14 @@ def reactivate(state: FilterState, parameters: FilterParameters) -> FilterState:
 def as_of_now(
     state: FilterState, inactive_landmarks: InactiveLandmarks
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, 3) placements and (N, 3, 3) covariances of inactive landmarks, by the anchors of now."""
+    """(N, 3) placements and (N, 3, 3) covariances of inactive landmarks now."""
     return kernels.as_of_now(state.density, inactive_landmarks.regressions)
 
 
 def in_space_now(
     state: FilterState, inactive_landmarks: InactiveLandmarks
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, 3) positions [m] and (N, 3, 3) covariances of inactive landmarks, by the anchors of now."""
+    """(N, 3) positions [m] and (N, 3, 3) covariances of inactive landmarks now."""
     return in_space(
         inactive_landmarks.origin, inactive_landmarks.axes, *as_of_now(state, inactive_landmarks)
     )

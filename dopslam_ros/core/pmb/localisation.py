@@ -89,6 +89,7 @@ def consider(density: Density, updated: Updated, weight: FloatArray, joint: bool
     return Density(
         mean,
         covariance,
+        density.start,
         density.origin,
         density.axes,
         density.component_track,

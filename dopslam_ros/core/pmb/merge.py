@@ -8,6 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
+from dopslam_ros.core.pmb.blocks import block_starts
 from dopslam_ros.core.pmb.records import Conditioned, Density, Updated
 from dopslam_ros.core.settings.filtering import Constants
 from dopslam_ros.core.settings.layout import DIM, NONE, UE
@@ -144,6 +145,7 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
     return Density(
         mean,
         spread(updated, roots, deviation, index, constants.joint),
+        block_starts(density.start[0], types),
         origin,
         axes,
         owner,

@@ -8,6 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import jit, jit_inline
+from dopslam_ros.core.pmb.blocks import block_starts
 from dopslam_ros.core.pmb.coordinates_kernels import frames
 from dopslam_ros.core.pmb.records import Births, Density, Hypotheses, Newborn
 from dopslam_ros.core.settings.filtering import Constants
@@ -138,6 +139,7 @@ def augment(
         Density(
             mean,
             covariance,
+            block_starts(density.start[0], types),
             origin,
             axes,
             owner,

@@ -49,8 +49,10 @@ class Density(NamedTuple):
     ``placement``); with ``coupling: marginal`` the covariance is block diagonal between steps.
 
     Attributes:
-        mean: (4 + 3 C,) x [m], y [m], heading [rad], clock bias [m], then q of the components.
-        covariance: (4 + 3 C, 4 + 3 C).
+        mean: (n,) the vehicle's components (``layout.VEHICLE``), then q of the landmarks'.
+        covariance: (n, n).
+        start: (C + 1,) where the block of each component begins in the joint vector; the vehicle's
+            is before the first one, the last entry is n.
         origin: (C, 3) where the frames of the components are [m].
         axes: (C, 3, 3) their axes, in columns.
         component_track: (C,) index of the track each component belongs to, ascending.
@@ -64,6 +66,7 @@ class Density(NamedTuple):
 
     mean: FloatArray
     covariance: FloatArray
+    start: IntArray
     origin: FloatArray
     axes: FloatArray
     component_track: IntArray

@@ -15,6 +15,7 @@ from dopslam_ros.core.linalg.arrays import (
     floats,
     integers,
 )
+from dopslam_ros.core.pmb.blocks import block_starts
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid
 from dopslam_ros.core.pmb.records import Density, Undetected
@@ -46,6 +47,11 @@ class FilterState:
     def covariance(self) -> FloatArray:
         """(4 + 3 C, 4 + 3 C)."""
         return self.density.covariance
+
+    @property
+    def start(self) -> IntArray:
+        """(C + 1,)."""
+        return self.density.start
 
     @property
     def origin(self) -> FloatArray:
@@ -95,17 +101,19 @@ class FilterState:
     def but(self, **parts: Any) -> FilterState:
         """The same with other parts of the density."""
         ready = {name: _as_compiled(value) for name, value in parts.items()}
+        if "component_type" in ready:
+            ready["start"] = block_starts(len(self.ue_mean), ready["component_type"])
         return FilterState(self.density._replace(**ready), self.inactive)
 
     @property
     def ue_mean(self) -> FloatArray:
         """(4,) estimate of the vehicle."""
-        return self.mean[:UE]
+        return self.mean[: self.start[0]]
 
     @property
     def ue_covariance(self) -> FloatArray:
         """(4, 4) its covariance."""
-        return self.covariance[:UE, :UE]
+        return self.covariance[: self.start[0], : self.start[0]]
 
     @property
     def all_track_ids(self) -> IntArray:
@@ -164,6 +172,7 @@ def initial_filter_state(parameters: FilterParameters) -> FilterState:
     density = Density(
         mean=np.array(parameters.initial_state),
         covariance=floats(parameters.initial_covariance),
+        start=np.array([len(parameters.initial_state)]),
         origin=np.zeros((0, 3)),
         axes=np.zeros((0, 3, 3)),
         component_track=none,

@@ -116,6 +116,7 @@ def conclude(
     after = Density(
         mean,
         merged.covariance,
+        merged.start,
         merged.origin,
         merged.axes,
         merged.component_track,
