@@ -22,17 +22,13 @@ from dopslam_ros.core.monitoring.pose_search import Clock, solutions
 from dopslam_ros.core.pmb import FilterParameters, initial_filter_state
 from dopslam_ros.core.pmb import coordinates_kernels as placement
 from dopslam_ros.core.pmb import inactive_kernels as inactive
+from dopslam_ros.core.pmb.birth import Births
+from dopslam_ros.core.pmb.density import Regressions
+from dopslam_ros.core.pmb.hypotheses import Hypotheses, LocalWeights
+from dopslam_ros.core.pmb.likelihood import Likelihoods
+from dopslam_ros.core.pmb.newborn import Newborn
 from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.records import (
-    Births,
-    Hypotheses,
-    Likelihoods,
-    LocalWeights,
-    Newborn,
-    Ranked,
-    Regressions,
-)
-from dopslam_ros.core.pmb.step_kernels import conclude, continued, learn
+from dopslam_ros.core.pmb.step_kernels import DataAssociation, conclude, continued, learn
 from dopslam_ros.core.session.bounding import BoundsSession, WorldState
 from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.core.settings.bounding import BoundsParameters
@@ -75,7 +71,7 @@ def touch_the_rest() -> None:
     observed, ranked = prepare(nothing, parameters), _nothing_heard()
     updated = continued(state.density, ranked, ranked.born.kept, observed, constants)
     conclude(ranked.hypotheses.weight, updated, constants)
-    inactive.left_behind(state.density, constants.sight)
+    inactive.left_behind(state.density, constants.sp_field_of_view)
     inactive.near(np.zeros((0, 3)), np.zeros(0), state.ue_mean[:2], 0.0)
     none, nobody = np.zeros((0, 3)), np.zeros((0, 3, 3))
     hanging = Regressions(np.zeros((0, 1), np.int64), none, nobody, none, nobody, nobody)
@@ -110,10 +106,10 @@ def _run(parameters: FilterParameters) -> None:
             assert output.landmarks is not None
 
 
-def _nothing_heard() -> Ranked:
+def _nothing_heard() -> DataAssociation:
     """The associations of a set without paths."""
     none, nobody = np.zeros((1, 0)), np.zeros((1, 0), np.int64)
-    return Ranked(
+    return DataAssociation(
         Likelihoods(
             np.zeros((1, DIM, UE)),
             np.zeros((1, DIM, 3)),

@@ -22,8 +22,8 @@ from dopslam_ros.core.monitoring import pose_search_kernels as kernels
 from dopslam_ros.core.pmb import FilterParameters, FilterState, Step
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
 from dopslam_ros.core.pmb.inactive import in_space_now, reactivate
+from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.records import Observed
 from dopslam_ros.core.pmb.step import update
 from dopslam_ros.core.settings.filtering import gates
 from dopslam_ros.core.settings.layout import UE, LandmarkType

@@ -8,9 +8,9 @@ from dopslam_ros.core.pmb.pmbm import (
     landmarks_of,
     mixture_step,
 )
-from dopslam_ros.core.pmb.records import Associations
 from dopslam_ros.core.pmb.state import FilterState, initial_filter_state
 from dopslam_ros.core.pmb.step import Step, step
+from dopslam_ros.core.pmb.step_kernels import Associations
 from dopslam_ros.core.settings.filtering import FilterParameters
 
 __all__ = [

@@ -6,6 +6,7 @@ Sizes are passed on as ``len(...)``: for literals the callees would be compiled 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,8 @@ from dopslam_ros.core.linalg.small import (
 from dopslam_ros.core.models.channel_kernels import observe_source, unit, wrapped
 from dopslam_ros.core.models.detection_kernels import detection_probability, distance_between
 from dopslam_ros.core.models.incidence import incidence_points, to_virtual_anchor
-from dopslam_ros.core.pmb.records import Births, Density, Observed
+from dopslam_ros.core.pmb.density import Density
+from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.undetected_kernels import log_share_left
 from dopslam_ros.core.settings.filtering import Constants
 from dopslam_ros.core.settings.layout import DIM, SP, UE, VA
@@ -59,7 +61,7 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
         ue,
         constants.ue_height,
         constants.bs,
-        constants.height_mean,
+        constants.landmark_height_mean,
         observed.values,
         start,
         located,
@@ -88,8 +90,8 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
                 speed,
                 constants.bs,
                 constants.ue_height,
-                constants.height_mean,
-                constants.height_std,
+                constants.landmark_height_mean,
+                constants.landmark_height_std,
                 observed.values[j],
                 used,
                 observed.noise[j],
@@ -119,7 +121,9 @@ def log_undetected(
 ) -> float:
     """ln (lambda p_D) at a place (3,) [m], of a type, with a std of the distance [m]."""
     distance = distance_between(density.mean[0], density.mean[1], constants.ue_height, position)
-    seen = detection_probability(kind, distance, blur, constants.probability, constants.sight)
+    seen = detection_probability(
+        kind, distance, blur, constants.detection_probability, constants.sp_field_of_view
+    )
     if not seen > 0.0:
         return -math.inf
     share = log_share_left(
@@ -128,11 +132,11 @@ def log_undetected(
         position,
         kind,
         blur,
-        constants.probability,
-        constants.sight,
-        constants.floor,
+        constants.detection_probability,
+        constants.sp_field_of_view,
+        constants.undetected_floor,
     )
-    return constants.log_undetected + share + math.log(seen)
+    return constants.log_undetected_intensity + share + math.log(seen)
 
 
 @jit
@@ -343,3 +347,23 @@ def distance_std(
     variance = x * x * covariance[0, 0] + y * y * covariance[1, 1] + z * z * covariance[2, 2]
     cross = x * y * covariance[0, 1] + x * z * covariance[0, 2] + y * z * covariance[1, 2]
     return math.sqrt(max(variance + 2.0 * cross, 0.0))
+
+
+class Births(NamedTuple):
+    """A candidate landmark of each unknown type (first axis, 2) from each path (second, J).
+
+    Where ``log_intensity`` is -inf the rest is finite but means nothing.
+
+    Attributes:
+        position: (2, J, 3) [m].
+        covariance: (2, J, 3, 3).
+        gain: (2, J, 3, 4) how the position follows the vehicle: its covariance with any part y of
+            the state is ``gain @ cov(s, y)``.
+        log_intensity: (2, J) ln rho, the measurement intensity of undetected landmarks; -inf where
+            the path cannot have come from such a landmark.
+    """
+
+    position: FloatArray
+    covariance: FloatArray
+    gain: FloatArray
+    log_intensity: FloatArray

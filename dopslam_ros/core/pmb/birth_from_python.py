@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.pmb import birth
-from dopslam_ros.core.pmb.records import Births, Observed
+from dopslam_ros.core.pmb.birth import Births
+from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.state import FilterState
 from dopslam_ros.core.settings.filtering import FilterParameters
 

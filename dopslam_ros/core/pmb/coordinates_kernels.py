@@ -9,7 +9,7 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.models.channel_kernels import SMALLEST_DISTANCE, unit
-from dopslam_ros.core.pmb.records import Density
+from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.settings.layout import UE
 
 # A first axis that is this upright or more needs another helper than the vertical.

@@ -10,14 +10,9 @@ import numpy as np
 from dopslam_ros.core.association.murty import insert, k_best
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import jit, jit_inline
-from dopslam_ros.core.pmb.records import (
-    Births,
-    Density,
-    Hypotheses,
-    Likelihoods,
-    LocalWeights,
-    Observed,
-)
+from dopslam_ros.core.pmb.birth import Births
+from dopslam_ros.core.pmb.density import Density
+from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
 from dopslam_ros.core.settings.filtering import Constants
 from dopslam_ros.core.settings.layout import NONE
 
@@ -79,10 +74,10 @@ def weigh_locally(
         exists = existence[t - 1] if t > 0 else 1.0
         missed[t] = log_of(1.0 - exists + exists * missed[t], least)
     for j in range(paths):
-        new[j] = constants.log_clutter
+        new[j] = constants.log_clutter_mean
         for k in range(observed.used.shape[1]):
             if observed.used[j, k]:
-                new[j] -= constants.log_spans[k]
+                new[j] -= constants.clutter_log_spans[k]
         for b in range(len(log_births)):
             new[j] = log_add(new[j], log_births[b, j])
         new[j] = max(new[j], least)
@@ -280,3 +275,37 @@ def associate(component_track: IntArray, weights: LocalWeights, gamma: int) -> H
         columns, costs, component_track, weights.source, weights.track, gamma
     )
     return Hypotheses(track, source, weight, log_sum + missed)
+
+
+class LocalWeights(NamedTuple):
+    """Logarithms of the local weights, eqs. (22)-(24) of Ge et al. 2022.
+
+    Attributes:
+        source: (C + 1, J) detected by path j as source (0 the BS, then components): r u p_D N.
+        track: (T + 1, J) the same, summed over the types of each track; row 0 is the BS.
+        missed: (T + 1,) 1 - r + r q, q the probability of a misdetection.
+        new: (J,) c + rho: the path is clutter or a landmark never detected before.
+    """
+
+    source: FloatArray
+    track: FloatArray
+    missed: FloatArray
+    new: FloatArray
+
+
+class Hypotheses(NamedTuple):
+    """H global hypotheses, the likeliest first.
+
+    Attributes:
+        track: (H, J) what each path was given to: 0 the BS, t + 1 track t, or NONE (clutter or
+            new).
+        source: (H, J) the same by component: 0 the BS, c + 1 component c, or NONE.
+        weight: (H,) normalised.
+        log_evidence: ln of the sum of the weights before normalisation: how well the density of
+            which these are the continuations foresaw the set.
+    """
+
+    track: IntArray
+    source: IntArray
+    weight: FloatArray
+    log_evidence: float

@@ -12,7 +12,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.pmb import inactive_kernels as kernels
-from dopslam_ros.core.pmb.records import Regressions
+from dopslam_ros.core.pmb.density import Regressions
 
 CellIndex = tuple[int, int]
 

@@ -9,7 +9,7 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
-from dopslam_ros.core.pmb.records import Density, Regressions
+from dopslam_ros.core.pmb.density import Density, Regressions
 from dopslam_ros.core.settings.layout import NONE, SP, UE, VA
 
 # Standard deviations beyond the field of view at which a detection is out of the question.

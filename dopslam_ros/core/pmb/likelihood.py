@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from dopslam_ros.core.linalg.small import cholesky, forward, log_determinant, us
 from dopslam_ros.core.models.channel_kernels import observe_source, unit, wrapped
 from dopslam_ros.core.models.detection_kernels import detection_probability
 from dopslam_ros.core.pmb.coordinates_kernels import place, place_jacobian
-from dopslam_ros.core.pmb.records import Density, Likelihoods, Observed
+from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.settings.filtering import Constants
 from dopslam_ros.core.settings.layout import AZIMUTHS, BS, DIM, UE
 
@@ -152,7 +153,7 @@ def look_at_sources(
         project_one(by_vehicle[0], by_placement[0], m, covariance, blur)
         spread = math.sqrt(max(blur[0, 0], 0.0))
         detection[m] = detection_probability(
-            kind, distance, spread, constants.probability, constants.sight
+            kind, distance, spread, constants.detection_probability, constants.sp_field_of_view
         )
 
 
@@ -257,3 +258,38 @@ def log_likelihoods(
                 constant = count * LOG_2PI + log_determinant(s, count)
                 log_likelihood[m, j] = -0.5 * (distance + constant)
     return sound
+
+
+class Observed(NamedTuple):
+    """A measurement set prepared for linear algebra.
+
+    Components that were not measured, or are not used, get a zero innovation, zero Jacobian rows
+    and unit variance: they drop out of every density without a special case.
+
+    Attributes:
+        values: (J, 6), NaN where not measured or not used.
+        used: (J, 6) which components count.
+        noise: (J, 6, 6) covariance R, unit where not used.
+    """
+
+    values: FloatArray
+    used: BoolArray
+    noise: FloatArray
+
+
+class Likelihoods(NamedTuple):
+    """Each path against the BS (source 0) and the components (sources 1 ... C).
+
+    Attributes:
+        ue_jacobian: (C + 1, 6, 4) A = dh/ds.
+        landmark_jacobian: (C + 1, 6, 3) B = dh/dq, zero for the BS.
+        detection: (C + 1,) p_D.
+        innovation: (C + 1, J, 6) z - h, zero where not used.
+        log_likelihood: (C + 1, J) ln N(z; h, S); -inf outside the gate.
+    """
+
+    ue_jacobian: FloatArray
+    landmark_jacobian: FloatArray
+    detection: FloatArray
+    innovation: FloatArray
+    log_likelihood: FloatArray

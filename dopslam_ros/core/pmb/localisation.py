@@ -15,11 +15,12 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit_inline
 from dopslam_ros.core.models.channel_kernels import wrapped
+from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
+from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.merge import uncouple
-from dopslam_ros.core.pmb.records import Density, Observed, Outcome, Updated
-from dopslam_ros.core.pmb.step_kernels import name, rank
-from dopslam_ros.core.pmb.update import condition
+from dopslam_ros.core.pmb.step_kernels import Outcome, name, rank
+from dopslam_ros.core.pmb.update import Updated, condition
 from dopslam_ros.core.settings.filtering import Constants
 from dopslam_ros.core.settings.layout import NONE, UE
 
@@ -43,7 +44,7 @@ def localise(
     after = consider(prior, updated, best.weight, constants.joint)
     unborn = np.full(len(observed.values), NONE)
     named = name(prior.track_id, ranked, unborn, updated.nis[0], observed)
-    leaving = some_left_behind(after, constants.sight)
+    leaving = some_left_behind(after, constants.sp_field_of_view)
     return Outcome(after, leaving, named, ranked.sound and updated.sound)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
-from dopslam_ros.core.pmb.blocks import block_starts
-from dopslam_ros.core.pmb.records import Conditioned, Density, Updated
+from dopslam_ros.core.pmb.density import Density, block_starts
+from dopslam_ros.core.pmb.update import Updated
 from dopslam_ros.core.settings.filtering import Constants
 from dopslam_ros.core.settings.layout import DIM, NONE, UE
 
@@ -323,3 +324,21 @@ def uncouple(covariance: FloatArray) -> None:
         for j in range(n):
             if mine != (NONE if j < UE else (j - UE) // 3):
                 covariance[i, j] = 0.0
+
+
+class Conditioned(NamedTuple):
+    """A density given each of its H associations.
+
+    Attributes:
+        density: predicted, the births behind the rest.
+        birth_track: (J,) track of the landmark born from each path, or NONE.
+        updated: the joint Gaussian of that under each association.
+        existence: (H, T) probability that the track exists.
+        type_weight: (H, C) probability of the component's type, given that the track exists.
+    """
+
+    density: Density
+    birth_track: IntArray
+    updated: Updated
+    existence: FloatArray
+    type_weight: FloatArray

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import jit, jit_inline
-from dopslam_ros.core.pmb.blocks import block_starts
+from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.coordinates_kernels import frames
-from dopslam_ros.core.pmb.records import Births, Density, Hypotheses, Newborn
+from dopslam_ros.core.pmb.density import Density, block_starts
+from dopslam_ros.core.pmb.hypotheses import Hypotheses
 from dopslam_ros.core.settings.filtering import Constants
 from dopslam_ros.core.settings.layout import NONE, SP, UE, VA
 
@@ -258,3 +260,15 @@ def place_birth(
                     total -= gain[r, i] * covariance[i, j] * gain[d, j]
             spread[r, d] = total
             spread[d, r] = total
+
+
+class Newborn(NamedTuple):
+    """The landmarks that may be born from J paths.
+
+    Attributes:
+        existence: (J,) r = rho / (c + rho), where the path is given to no landmark.
+        kept: (J,) whose landmark would not be pruned at once.
+    """
+
+    existence: FloatArray
+    kept: BoolArray

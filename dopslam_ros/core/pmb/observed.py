@@ -8,7 +8,7 @@ from dopslam_ros.core.linalg.arrays import FloatArray, floats
 from dopslam_ros.core.models.channel import residual
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.pmb import likelihood as kernels
-from dopslam_ros.core.pmb.records import Observed
+from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.settings.filtering import FilterParameters
 
 LOG_2PI = float(np.log(2.0 * np.pi))

@@ -14,11 +14,12 @@ from dopslam_ros.core.models.motion import ControlSpan
 from dopslam_ros.core.pmb import pmbm_kernels as kernels
 from dopslam_ros.core.pmb.estimates import LandmarkEstimates, reported_landmarks
 from dopslam_ros.core.pmb.inactive import deactivate
+from dopslam_ros.core.pmb.likelihood import Observed
+from dopslam_ros.core.pmb.merge import Conditioned
 from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.records import Associations, Conditioned, Observed, Ranked
 from dopslam_ros.core.pmb.state import FilterState, initial_filter_state
 from dopslam_ros.core.pmb.step import NOT_POSITIVE, advance, step
-from dopslam_ros.core.pmb.step_kernels import conclude, continued
+from dopslam_ros.core.pmb.step_kernels import Associations, DataAssociation, conclude, continued
 from dopslam_ros.core.settings.filtering import FilterParameters
 
 
@@ -150,7 +151,7 @@ def mixture_step(
 
 
 def _pooled(
-    ranked: Sequence[Ranked],
+    ranked: Sequence[DataAssociation],
     conditioned: Sequence[Conditioned],
     observed: Observed,
     weight: FloatArray,

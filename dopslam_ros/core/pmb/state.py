@@ -15,10 +15,9 @@ from dopslam_ros.core.linalg.arrays import (
     floats,
     integers,
 )
-from dopslam_ros.core.pmb.blocks import block_starts
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
+from dopslam_ros.core.pmb.density import Density, Undetected, block_starts
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid
-from dopslam_ros.core.pmb.records import Density, Undetected
 from dopslam_ros.core.pmb.undetected import nothing_seen
 from dopslam_ros.core.settings.filtering import FilterParameters
 from dopslam_ros.core.settings.layout import UE

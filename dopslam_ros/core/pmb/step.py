@@ -11,11 +11,11 @@ from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan, span_rows
 from dopslam_ros.core.models.motion_kernels import predict as predict_arrays
 from dopslam_ros.core.pmb.inactive import deactivate, reactivate
+from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.localisation import localise
 from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.records import Associations, Observed
 from dopslam_ros.core.pmb.state import FilterState
-from dopslam_ros.core.pmb.step_kernels import learn
+from dopslam_ros.core.pmb.step_kernels import Associations, learn
 from dopslam_ros.core.settings.filtering import FilterParameters
 
 NOT_POSITIVE = "an innovation's covariance is not positive definite"

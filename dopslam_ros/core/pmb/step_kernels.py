@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.models.channel_kernels import wrapped
-from dopslam_ros.core.pmb.birth import propose
-from dopslam_ros.core.pmb.hypotheses import associate, weigh_locally
+from dopslam_ros.core.pmb.birth import Births, propose
+from dopslam_ros.core.pmb.density import Density
+from dopslam_ros.core.pmb.hypotheses import Hypotheses, LocalWeights, associate, weigh_locally
 from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
-from dopslam_ros.core.pmb.likelihood import weigh
-from dopslam_ros.core.pmb.merge import judge, merge
-from dopslam_ros.core.pmb.newborn import augment, newborn
-from dopslam_ros.core.pmb.records import (
-    Associations,
-    Conditioned,
-    Density,
-    Newborn,
-    Observed,
-    Outcome,
-    Ranked,
-)
+from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed, weigh
+from dopslam_ros.core.pmb.merge import Conditioned, judge, merge
+from dopslam_ros.core.pmb.newborn import Newborn, augment, newborn
 from dopslam_ros.core.pmb.undetected_kernels import looked_from
 from dopslam_ros.core.pmb.update import condition
 from dopslam_ros.core.settings.filtering import Constants
@@ -52,7 +45,7 @@ def learn(
     ranked = rank(weighed, observed, speed, constants)
     if not births:
         none = Newborn(ranked.born.existence, np.zeros(len(observed.values), np.bool_))
-        ranked = Ranked(
+        ranked = DataAssociation(
             ranked.evidence, ranked.births, ranked.weights, ranked.hypotheses, none, ranked.sound
         )
     conditioned = continued(prior, ranked, ranked.born.kept, observed, constants)
@@ -68,7 +61,9 @@ def learn(
 
 
 @jit
-def rank(density: Density, observed: Observed, speed: float, constants: Constants) -> Ranked:
+def rank(
+    density: Density, observed: Observed, speed: float, constants: Constants
+) -> DataAssociation:
     """Weighs the paths against a predicted density and finds the best associations."""
     evidence, sound = weigh(density, observed, speed, constants)
     births = propose(density, observed, speed, constants)
@@ -76,13 +71,13 @@ def rank(density: Density, observed: Observed, speed: float, constants: Constant
     best = associate(density.component_track, weights, constants.gamma)
     born = newborn(births.log_intensity, weights.new, best, constants.prune_existence)
     sound = sound and math.isfinite(best.log_evidence)
-    return Ranked(evidence, births, weights, best, born, sound)
+    return DataAssociation(evidence, births, weights, best, born, sound)
 
 
 @from_python
 def continued(
     density: Density,
-    ranked: Ranked,
+    ranked: DataAssociation,
     numbered: BoolArray,
     observed: Observed,
     constants: Constants,
@@ -112,7 +107,7 @@ def conclude(
     merged = merge(weight, conditioned, constants)
     mean = merged.mean
     mean[2] = wrapped(mean[2])
-    undetected = looked_from(merged.undetected, mean[0], mean[1], constants.sight)
+    undetected = looked_from(merged.undetected, mean[0], mean[1], constants.sp_field_of_view)
     after = Density(
         mean,
         merged.covariance,
@@ -127,13 +122,13 @@ def conclude(
         undetected,
         merged.next_id,
     )
-    return after, some_left_behind(after, constants.sight)
+    return after, some_left_behind(after, constants.sp_field_of_view)
 
 
 @jit
 def name(
     track_id: IntArray,
-    ranked: Ranked,
+    ranked: DataAssociation,
     birth_track: IntArray,
     nis: float,
     observed: Observed,
@@ -172,3 +167,68 @@ def name(
         weights.missed,
         weights.new,
     )
+
+
+class DataAssociation(NamedTuple):
+    """How the paths may go with a density.
+
+    Attributes:
+        evidence: of every source.
+        births: a candidate from every path.
+        weights: of every pair.
+        hypotheses: the best associations.
+        born: births worth keeping.
+        sound: whether the arithmetic went well.
+    """
+
+    evidence: Likelihoods
+    births: Births
+    weights: LocalWeights
+    hypotheses: Hypotheses
+    born: Newborn
+    sound: bool
+
+
+class Associations(NamedTuple):
+    """Which path came from where, in terms of landmark ids; for monitors and studies.
+
+    Attributes:
+        ids: (H, J) id of the landmark (0 the BS) each path was given to, or NONE.
+        weight: (H,) normalised weights.
+        born: (J,) id of the landmark born from each path, or NONE.
+        nis: normalised innovation squared v' S^-1 v of all paths that the likeliest hypothesis
+            gives to a landmark, jointly: S has their cross terms, v is in order of the update.
+        nis_dof: how many numbers these paths have; nis is 0 where it is 0, chi-squared with so
+            many degrees of freedom where filter, models and hypothesis are right.
+        log_evidence: ln of the sum of the hypotheses' weights before normalisation, how well the
+            set was foreseen: of all paths, clutter and misdetections included.
+        sources: (S,) ids of what could have been heard, the BS first.
+        log_missed: (S,) ln of the probability that it is not heard.
+        log_new: (J,) ln of the intensity of clutter and new landmarks at each path.
+    """
+
+    ids: IntArray
+    weight: FloatArray
+    born: IntArray
+    nis: float
+    nis_dof: int
+    log_evidence: float
+    sources: IntArray
+    log_missed: FloatArray
+    log_new: FloatArray
+
+
+class Outcome(NamedTuple):
+    """What a step leads to.
+
+    Attributes:
+        density: posterior.
+        leaving: whether scattering points were left behind.
+        associations: the hypotheses it was merged from.
+        sound: whether the arithmetic went well.
+    """
+
+    density: Density
+    leaving: bool
+    associations: Associations
+    sound: bool

@@ -12,7 +12,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.pmb import undetected_kernels as kernels
-from dopslam_ros.core.pmb.records import Undetected
+from dopslam_ros.core.pmb.density import Undetected
 from dopslam_ros.core.settings.model import ModelParameters
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.models.detection_kernels import detection_probability, distance_between
-from dopslam_ros.core.pmb.records import Undetected
+from dopslam_ros.core.pmb.density import Undetected
 from dopslam_ros.core.settings.layout import SP
 
 # Even what is always detected leaves a chance to have been missed.

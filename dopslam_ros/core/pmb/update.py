@@ -7,12 +7,14 @@ and nobody needs to write that matrix down.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.linalg.small import cholesky, forward, forward_columns
-from dopslam_ros.core.pmb.records import Likelihoods, Observed, Updated
+from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
 from dopslam_ros.core.settings.layout import DIM, NONE, UE
 
 # Paths that are worked into a covariance in one go: their rows W must fit into the cache.
@@ -324,3 +326,30 @@ def condition(
     for h in range(rows):
         sound = sound and nis[h] >= 0.0
     return Updated(left, means, nis, place, first, last, gains, sound)
+
+
+class Updated(NamedTuple):
+    """The joint Gaussian under each of H hypotheses, in a form that they share.
+
+    The updates by paths that all of them give to the same source are in ``covariance``. Each of
+    the others is a branch: a run of hypotheses, taken in some order, with it has W'W less.
+
+    Attributes:
+        covariance: (n, n) P, before the branches.
+        means: (H, n).
+        nis: (H,) normalised innovation squared of all paths that are given away, jointly.
+        place: (H,) of each hypothesis in the order of the runs.
+        first: (B,) first place of the run of each branch.
+        last: (B,) one beyond its last place.
+        gains: (B, 6, n) W.
+        sound: whether the arithmetic went well.
+    """
+
+    covariance: FloatArray
+    means: FloatArray
+    nis: FloatArray
+    place: IntArray
+    first: IntArray
+    last: IntArray
+    gains: FloatArray
+    sound: bool

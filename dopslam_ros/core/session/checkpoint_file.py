@@ -26,8 +26,8 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.models.motion import Control, ControlSpan, Drift
 from dopslam_ros.core.pmb import FilterState, Mixture
+from dopslam_ros.core.pmb.density import Density, Undetected
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks
-from dopslam_ros.core.pmb.records import Density, Undetected
 from dopslam_ros.core.session.checkpoint import Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_checks import check_checkpoint
 from dopslam_ros.core.settings.layout import LANDMARK_SIZES, UE

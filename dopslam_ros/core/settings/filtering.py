@@ -19,6 +19,48 @@ from dopslam_ros.core.settings.model import OnlineParameters
 from dopslam_ros.core.settings.parameters import parameter
 
 
+class Constants(NamedTuple):
+    """What stays the same from step to step; ``FilterParameters`` says what each of them is.
+
+    Attributes:
+        bs: (3,) [m].
+        ue_height: [m].
+        detection_probability: p_D of what is visible.
+        sp_field_of_view: field of view for SPs [m].
+        noise: (6, 6) R of paths that have none of their own.
+        used_components: (6,) components that count.
+        log_clutter_mean: ln of the mean number of clutter paths.
+        clutter_log_spans: (6,) ln of the sides of the box in which clutter is uniform.
+        gates: (7,) squared distances inside which a path lies, by its number of components.
+        landmark_height_mean: of new landmarks [m].
+        landmark_height_std: [m].
+        log_undetected_intensity: ln of the intensity of landmarks never detected, at first.
+        undetected_floor: share of it that always remains.
+        gamma: number of associations.
+        prune_existence: landmarks less likely are dropped.
+        prune_type: types less likely are dropped.
+        joint: whether correlations are kept between steps.
+    """
+
+    bs: FloatArray
+    ue_height: float
+    detection_probability: float
+    sp_field_of_view: float
+    noise: FloatArray
+    used_components: BoolArray
+    log_clutter_mean: float
+    clutter_log_spans: FloatArray
+    gates: FloatArray
+    landmark_height_mean: float
+    landmark_height_std: float
+    log_undetected_intensity: float
+    undetected_floor: float
+    gamma: int
+    prune_existence: float
+    prune_type: float
+    joint: bool
+
+
 @dataclass(frozen=True)
 class FilterParameters(OnlineParameters):
     """Settings of the EK-PMB filter beside the models."""
@@ -115,17 +157,17 @@ class FilterParameters(OnlineParameters):
         return Constants(
             bs=self.bs,
             ue_height=float(self.ue_height),
-            probability=float(self.detection_probability),
-            sight=float(self.sp_field_of_view),
+            detection_probability=float(self.detection_probability),
+            sp_field_of_view=float(self.sp_field_of_view),
             noise=self.noise,
-            used=self.used_components,
-            log_clutter=math.log(self.clutter_mean) if self.clutter_mean > 0.0 else -math.inf,
-            log_spans=self.clutter_log_spans,
+            used_components=self.used_components,
+            log_clutter_mean=math.log(self.clutter_mean) if self.clutter_mean > 0.0 else -math.inf,
+            clutter_log_spans=self.clutter_log_spans,
             gates=gates(self.gate_probability),
-            height_mean=float(self.landmark_height_mean),
-            height_std=float(self.landmark_height_std),
-            log_undetected=math.log(self.undetected_intensity),
-            floor=float(self.undetected_floor),
+            landmark_height_mean=float(self.landmark_height_mean),
+            landmark_height_std=float(self.landmark_height_std),
+            log_undetected_intensity=math.log(self.undetected_intensity),
+            undetected_floor=float(self.undetected_floor),
             gamma=int(self.gamma),
             prune_existence=float(self.prune_existence),
             prune_type=float(self.prune_type),
@@ -137,45 +179,3 @@ class FilterParameters(OnlineParameters):
 def gates(probability: float) -> FloatArray:
     """(7,) squared Mahalanobis distances inside which a path lies, by its number of components."""
     return chi_square(probability, np.arange(DIM + 1))
-
-
-class Constants(NamedTuple):
-    """What stays the same from step to step; ``FilterParameters`` says what each of them is.
-
-    Attributes:
-        bs: (3,) [m].
-        ue_height: [m].
-        probability: p_D of what is visible.
-        sight: field of view for SPs [m].
-        noise: (6, 6) R of paths that have none of their own.
-        used: (6,) components that count.
-        log_clutter: ln of the mean number of clutter paths.
-        log_spans: (6,) ln of the sides of the box in which clutter is uniform.
-        gates: (7,) squared distances inside which a path lies, by its number of components.
-        height_mean: of new landmarks [m].
-        height_std: [m].
-        log_undetected: ln of the intensity of landmarks never detected, at first.
-        floor: share of it that always remains.
-        gamma: number of associations.
-        prune_existence: landmarks less likely are dropped.
-        prune_type: types less likely are dropped.
-        joint: whether correlations are kept between steps.
-    """
-
-    bs: FloatArray
-    ue_height: float
-    probability: float
-    sight: float
-    noise: FloatArray
-    used: BoolArray
-    log_clutter: float
-    log_spans: FloatArray
-    gates: FloatArray
-    height_mean: float
-    height_std: float
-    log_undetected: float
-    floor: float
-    gamma: int
-    prune_existence: float
-    prune_type: float
-    joint: bool

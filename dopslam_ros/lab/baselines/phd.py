@@ -28,11 +28,13 @@ from dopslam_ros.core.models.channel import observe
 from dopslam_ros.core.models.detection import detection_probabilities, log_clutter_intensity
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan, predict_covariance, propagate_spans
+from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.birth_from_python import propose
+from dopslam_ros.core.pmb.density import Undetected
 from dopslam_ros.core.pmb.estimates import LandmarkEstimates
 from dopslam_ros.core.pmb.hypotheses import LOG_TINY
+from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.observed import gaussian_terms, log_normaliser, masked_residual, prepare
-from dopslam_ros.core.pmb.records import Births, Observed, Undetected
 from dopslam_ros.core.pmb.state import FilterState, initial_filter_state
 from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
 from dopslam_ros.core.settings.filtering import FilterParameters, gates

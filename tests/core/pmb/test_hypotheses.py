@@ -14,9 +14,10 @@ from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
 from dopslam_ros.core.pmb import hypotheses as kernels
-from dopslam_ros.core.pmb.hypotheses import LOG_TINY
+from dopslam_ros.core.pmb.birth import Births
+from dopslam_ros.core.pmb.hypotheses import LOG_TINY, Hypotheses, LocalWeights
+from dopslam_ros.core.pmb.likelihood import Likelihoods
 from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.records import Births, Hypotheses, Likelihoods, LocalWeights
 from dopslam_ros.core.settings.layout import NONE
 
 _associate = from_python(kernels.associate)

@@ -16,10 +16,12 @@ from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
 from dopslam_ros.core.pmb import hypotheses as hypotheses_kernels
 from dopslam_ros.core.pmb import likelihood as kernels
+from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.birth_from_python import propose
 from dopslam_ros.core.pmb.coordinates import frames, placements, positions
+from dopslam_ros.core.pmb.hypotheses import LocalWeights
+from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
 from dopslam_ros.core.pmb.observed import gaussian_terms, prepare
-from dopslam_ros.core.pmb.records import Births, Likelihoods, LocalWeights, Observed
 from dopslam_ros.core.settings.layout import DIM
 
 _weigh = from_python(kernels.weigh)

@@ -9,7 +9,7 @@ import pytest
 
 from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.pmb import FilterParameters, undetected_kernels
-from dopslam_ros.core.pmb.records import Undetected
+from dopslam_ros.core.pmb.density import Undetected
 from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
 from dopslam_ros.core.pmb.undetected_kernels import MOST_VIEWPOINTS
 

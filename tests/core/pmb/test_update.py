@@ -15,17 +15,14 @@ from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_s
 from dopslam_ros.core.pmb import merge as merge_kernels
 from dopslam_ros.core.pmb import newborn as newborn_kernels
 from dopslam_ros.core.pmb import update as update_kernels
+from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.coordinates import frames, jacobians
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
-from dopslam_ros.core.pmb.records import (
-    Births,
-    Conditioned,
-    Density,
-    Hypotheses,
-    Likelihoods,
-    Observed,
-    Updated,
-)
+from dopslam_ros.core.pmb.density import Density
+from dopslam_ros.core.pmb.hypotheses import Hypotheses
+from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
+from dopslam_ros.core.pmb.merge import Conditioned
+from dopslam_ros.core.pmb.update import Updated
 from dopslam_ros.core.settings.layout import DIM, NONE
 
 judge = from_python(merge_kernels.judge)

@@ -1,0 +1,97 @@
+"""The PMB density of vehicle and map, as the compiled functions take it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.settings.layout import LANDMARK_SIZES
+
+
+class Undetected(NamedTuple):
+    """From where how often nothing new was detected.
+
+    Attributes:
+        looks: number of snapshots so far.
+        viewpoints: (K, 2) places of the vehicle [m], those whose field of view still matters.
+        viewpoint_looks: (K,) number of snapshots near each.
+    """
+
+    looks: int
+    viewpoints: FloatArray
+    viewpoint_looks: IntArray
+
+
+class Regressions(NamedTuple):
+    """What ties N landmarks out of view to A virtual anchors; see ``InactiveLandmarks``.
+
+    Attributes:
+        anchors: (N, A) track ids of the anchors, 0 where a place is not used.
+        anchor_q: (N, 3 A) placements of the anchors then.
+        gain: (N, 3, 3 A) dq / d anchor_q.
+        q: (N, 3) placements then.
+        covariance: (N, 3, 3) of q then.
+        residual: (N, 3, 3) covariance of q given the anchors.
+    """
+
+    anchors: IntArray
+    anchor_q: FloatArray
+    gain: FloatArray
+    q: FloatArray
+    covariance: FloatArray
+    residual: FloatArray
+
+
+class Density(NamedTuple):
+    """A PMB density: a Gaussian over vehicle and landmark components, the rest per landmark.
+
+    A landmark (track) has a component for each type it may still be. The joint vector is
+    [s; q_1 ... q_C], q the range and direction of a component in its own frame (see
+    ``placement``); with ``coupling: marginal`` the covariance is block diagonal between steps.
+
+    Attributes:
+        mean: (n,) the vehicle's components (``layout.VEHICLE``), then q of the landmarks'.
+        covariance: (n, n).
+        start: (C + 1,) where the block of each component begins in the joint vector; the vehicle's
+            is before the first one, the last entry is n.
+        origin: (C, 3) where the frames of the components are [m].
+        axes: (C, 3, 3) their axes, in columns.
+        component_track: (C,) index of the track each component belongs to, ascending.
+        component_type: (C,) VA or SP.
+        component_weight: (C,) probability of the type, given that the track exists.
+        track_id: (T,) stable ids, from 1 on (0 is the BS).
+        existence: (T,) probability that the landmark exists, r.
+        undetected: where landmarks never detected may still be.
+        next_id: the id of the next new track.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    start: IntArray
+    origin: FloatArray
+    axes: FloatArray
+    component_track: IntArray
+    component_type: IntArray
+    component_weight: FloatArray
+    track_id: IntArray
+    existence: FloatArray
+    undetected: Undetected
+    next_id: int
+
+
+@from_python
+def block_starts(vehicle: int, types: IntArray) -> IntArray:
+    """(C + 1,) where the block of each component begins; the last entry is the size of the vector.
+
+    Args:
+        vehicle: how many numbers the vehicle has; its block is the first one.
+        types: (C,) LandmarkType of the components, which says how many numbers each has.
+    """
+    start = np.empty(len(types) + 1, np.int64)
+    start[0] = vehicle
+    for c in range(len(types)):
+        start[c + 1] = start[c] + LANDMARK_SIZES[types[c]]
+    return start
