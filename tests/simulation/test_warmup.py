@@ -21,18 +21,19 @@ import importlib, pkgutil
 from dataclasses import replace
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from dopslam_ros.core import kernels
-from dopslam_ros.core.scenario import load_scenario
-from dopslam_ros.core.session import BoundsParameters, FilterSession
-from dopslam_ros.core.simulator import simulate
-from dopslam_ros.core.study import filter_parameters_for
-from dopslam_ros.core.warmup import touch_the_rest, warm_up_bounds, warm_up_filter
+from dopslam_ros import core
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.settings.bounding import BoundsParameters
+from dopslam_ros.simulation.matched import filter_parameters_for
+from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.simulation.simulator import simulate
+from dopslam_ros.simulation.warmup import touch_the_rest, warm_up_bounds, warm_up_filter
 
 def known():
     found = {}
-    for module in pkgutil.iter_modules(kernels.__path__, kernels.__name__ + "."):
+    for module in pkgutil.walk_packages(core.__path__, core.__name__ + "."):
         for name, member in vars(importlib.import_module(module.name)).items():
-            if isinstance(member, Dispatcher) and member.stats.cache_path:  # no part
+            if isinstance(member, Dispatcher) and member.stats.cache_path:  # called from Python
                 found[member.py_func.__name__] = len(member.signatures)
     return found
 

@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 from dopslam_ros.core.linalg import jit as module
-from dopslam_ros.core.linalg.jit import cache_folder
+from dopslam_ros.core.linalg.jit import cache_folder, kernel_sources
+
+CORE = Path(module.__file__).resolve().parents[1]
 
 COMPILES = """
 import numpy as np
@@ -56,54 +58,70 @@ def test_without_a_folder_to_write_to_it_compiles_all_the_same(tmp_path: Path) -
 def test_the_folder_is_named_after_the_text_of_all_kernels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    copy = tmp_path / "kernels"
-    shutil.copytree(Path(module.__file__).parent, copy)
+    copy = tmp_path / "core"
+    shutil.copytree(CORE, copy)
     names = []
     for change in ("", "\n# a change in a function that others call\n"):
-        with (copy / "small.py").open("a") as file:
+        with (copy / "linalg" / "small.py").open("a") as file:
             file.write(change)
-        monkeypatch.setattr(module, "__file__", str(copy / "compiled.py"))
+        monkeypatch.setattr(module, "__file__", str(copy / "linalg" / "jit.py"))
         cache_folder.cache_clear()
         names.append(cache_folder().name)
     cache_folder.cache_clear()
     assert names[0] != names[1]
 
 
-def test_nobody_calls_a_part_from_python() -> None:
-    """It would crash the process: outside the kernels a part is from_python, or not mentioned."""
-    kernels = Path(module.__file__).parent
-    parts = {
-        (file.stem, node.name)
-        for file in kernels.glob("*.py")
+def test_nothing_but_compiled_code_calls_a_jit_function() -> None:
+    """It would crash the process: elsewhere it is an argument of ``from_python``, or not named."""
+    inner = {
+        (dotted(file), node.name)
+        for file in kernel_sources()
         for node in ast.parse(file.read_text("utf-8")).body
-        if isinstance(node, ast.FunctionDef)
-        and {"part", "part_of_one"} & {getattr(mark, "id", "") for mark in node.decorator_list}
+        if marks(node) & {"jit", "jit_inline"}
     }
-    assert ("small", "cholesky") in parts
-    root = kernels.parents[2]
+    assert ("dopslam_ros.core.linalg.small", "cholesky") in inner
+    root = CORE.parents[1]
     for file in [*root.glob("dopslam_ros/**/*.py"), *root.glob("tests/**/*.py")]:
-        if file.parent != kernels:
-            assert not parts & mentioned(ast.parse(file.read_text("utf-8"))), file
+        assert not inner & mentioned(file), file
 
 
-def mentioned(tree: ast.Module) -> set[tuple[str, str]]:
-    """Kernels (module, name) that a text names anywhere but as the argument of ``from_python``."""
-    package, found = module.__name__.rpartition(".")[0], set()
+def dotted(file: Path) -> str:
+    """The module of a file of the package."""
+    return ".".join(file.relative_to(CORE.parents[1]).with_suffix("").parts)
+
+
+def marks(node: ast.AST) -> set[str]:
+    """The names of a function's decorators."""
+    return {getattr(mark, "id", "") for mark in getattr(node, "decorator_list", ())}
+
+
+def mentioned(file: Path) -> set[tuple[str, str]]:
+    """Functions (module, name) named outside compiled code, but as argument of ``from_python``."""
+    tree = ast.parse(file.read_text("utf-8"))
     modules: dict[str, str] = {}
-    from_python = [
+    functions = {node.name: (dotted(file), node.name) for node in tree.body if marks(node)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                modules[alias.asname or alias.name] = f"{node.module}.{alias.name}"
+                functions[alias.asname or alias.name] = (str(node.module), alias.name)
+    outside = [
+        node
+        for top in tree.body
+        if not marks(top) & {"jit", "jit_inline", "from_python"}
+        for node in ast.walk(top)
+    ]
+    allowed = [
         node.args[0]
-        for node in ast.walk(tree)
+        for node in outside
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "from_python"
     ]
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module == package:
-            modules.update({alias.asname or alias.name: alias.name for alias in node.names})
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith(f"{package}."):
-            inner = str(node.module).rpartition(".")[2]
-            found.update((inner, alias.name) for alias in node.names)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and node not in from_python:
-            owner = modules.get(getattr(node.value, "id", ""))
-            if owner is not None:
-                found.add((owner, node.attr))
+    found = set()
+    for node in outside:
+        if node in allowed:
+            continue
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+            found.add(functions.get(node.id, ("", node.id)))
+        elif isinstance(node, ast.Attribute):
+            found.add((modules.get(getattr(node.value, "id", ""), ""), node.attr))
     return found
