@@ -58,6 +58,7 @@ setup(
         "rich>=13.7,<16",
         "argcomplete>=3.1,<4",
         "rosbags>=0.11.9,<0.12",
+        "mcap>=1.5,<2",
         "zstandard>=0.22,<1",
     ],
     extras_require={
@@ -71,7 +72,6 @@ setup(
             "pytest-rerunfailures>=13,<17",
             "pytest-xdist>=3.4,<4",
             "stonesoup>=1.4,<2",
-            "mcap>=1.5,<2",
             "mypy>=1.10,<3",
             "ruff>=0.6,<1",
             "sphinx>=7.2,<10",

@@ -1,22 +1,56 @@
-"""What is in one MCAP file: by its index when that is sound, else by looking at all of it."""
+"""What is in one MCAP file: by its summary when that is sound, else by looking at all of it.
+
+The format is specified at https://mcap.dev/spec; the library ``mcap`` reads its records. Here is
+what it does not do: to doubt what a damaged file claims, and to go on behind the damage.
+"""
 
 from __future__ import annotations
 
 import struct
 import zlib
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from dopslam_ros.bag import records
-from dopslam_ros.bag.errors import BagFormatError
-from dopslam_ros.bag.records import Channel, Cursor, DamagedError, Record, Schema
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import FOOTER_SIZE, SeekingReader
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Schema
+from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk, get_chunk_data_stream
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
 
-_FOOTER_BYTES = 29
-_TAIL_BYTES = _FOOTER_BYTES + len(records.MAGIC)
+from dopslam_ros.bag.errors import BagFormatError
+
+_RECORD_HEADER = struct.Struct("<BQ")  # opcode and length of what follows
+_MESSAGE_HEADER_BYTES = 22
+_MESSAGE_BYTES = _RECORD_HEADER.size + _MESSAGE_HEADER_BYTES
+_END_BYTES = FOOTER_SIZE + MAGIC_SIZE
+_NOTHING = 0x00  # no record has this opcode: where it is, a file was never written
 _PLAIN_BLOCK_BYTES = 2**20
+_LIMIT_BYTES = 2**30
+# The size that a chunk's data tell; -1: none. Memory is taken for as much as a frame of zstd tells.
+_SIZE_TOLD: dict[str, Callable[[bytes], int]] = {
+    "": len,
+    "zstd": zstandard.frame_content_size,
+    "lz4": lambda data: -1,
+}
+
+# Whatever mcap and the libraries below it raise at bytes that do not make sense.
+_DAMAGE = (
+    McapError, ValueError, OverflowError, MemoryError, RuntimeError, struct.error,
+    zstandard.ZstdError,
+)  # fmt: skip
+
+
+class DamagedError(Exception):
+    """Bytes that do not make sense; stays inside this package."""
 
 
 class Kind(Enum):
@@ -27,24 +61,25 @@ class Kind(Enum):
     PLAIN = "as records of the file"
 
 
-class Block(NamedTuple):
+@dataclass
+class Block:
     """A part of a file that is read at once.
 
     Attributes:
-        start_ns: Earliest log time in it [ns].
-        end_ns: Latest log time in it [ns].
+        kind: How its messages are stored.
         offset: Where it is in the file [bytes].
         length: How long it is [bytes].
-        kind: How its messages are stored.
-        channels: Numbers of the channels in it; None: not known.
+        start_ns: Earliest log time in it [ns].
+        end_ns: Latest log time in it [ns].
+        channels: Numbers of the channels in it; empty: not known.
     """
 
-    start_ns: int
-    end_ns: int
+    kind: Kind
     offset: int
     length: int
-    kind: Kind
-    channels: frozenset[int] | None
+    start_ns: int
+    end_ns: int
+    channels: set[int]
 
 
 @dataclass
@@ -67,19 +102,9 @@ class Contents:
     counts: Counter[int] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
 
-    def declare(self, data: bytes, record: Record) -> None:
-        """Note the type or topic that a record declares; other records are ignored."""
-        cursor = Cursor(data, record.start, record.end)
-        if record.opcode == records.SCHEMA:
-            schema = records.parse_schema(cursor)
-            self.schemas.setdefault(schema.number, schema)
-        elif record.opcode == records.CHANNEL:
-            channel = records.parse_channel(cursor)
-            self.channels.setdefault(channel.number, channel)
-
     def type_name(self, channel: Channel) -> str:
         """Type of a channel's messages; empty when it has none."""
-        schema = self.schemas.get(channel.schema)
+        schema = self.schemas.get(channel.schema_id)
         return "" if schema is None else schema.name
 
 
@@ -94,33 +119,28 @@ def read_contents(path: Path) -> Contents:
         OSError: It cannot be read.
     """
     with path.open("rb") as stream:
-        _check_magic(path, stream.read(len(records.MAGIC)))
+        _check_magic(path, stream.read(MAGIC_SIZE))
         size = stream.seek(0, 2)
         try:
-            contents = _from_index(path, stream, size)
-            return contents or _Scan(path, stream, size, index_is_sound=True).run()
-        except (DamagedError, struct.error):
-            return _Scan(path, stream, size, index_is_sound=False).run()
+            summary = _summary(stream, size)
+        except _DAMAGE:
+            return _Scan(path, stream, size, summary_is_sound=False).run()
+        if summary is None or not _is_complete(summary):
+            return _Scan(path, stream, size, summary_is_sound=True).run()
+        return _from_summary(path, summary)
 
 
-def load_block(stream: BinaryIO, block: Block) -> bytes:
+def load_block(stream: BinaryIO, block: Block) -> list[McapRecord]:
     """Read the records of a block.
 
     Raises:
         DamagedError: They are damaged.
     """
-    data = records.read_at(stream, block.offset, block.length)
-    if block.kind is Kind.PLAIN:
-        return data
-    opcode, length = records.RECORD_HEADER.unpack_from(data)
-    cursor = Cursor(data, records.RECORD_HEADER.size)
-    if opcode != records.CHUNK:
-        raise DamagedError(f"a record with opcode {opcode} in the place of a chunk")
-    if block.kind is Kind.CUT_CHUNK:
-        return records.salvage_chunk(cursor)
-    if length != cursor.remaining:
-        raise DamagedError(f"a chunk of {length} bytes that should have {cursor.remaining}")
-    return records.unpack_chunk(cursor)
+    try:
+        chunk = _chunk(block.kind, _read(stream, block.offset, block.length))
+        return breakup_chunk(chunk, validate_crc=True)
+    except _DAMAGE as error:
+        raise DamagedError(f"a chunk ({str(error) or type(error).__name__})") from error
 
 
 def _check_magic(path: Path, magic: bytes) -> None:
@@ -128,113 +148,196 @@ def _check_magic(path: Path, magic: bytes) -> None:
         raise BagFormatError(
             f"'{path}' is empty (0 bytes): nothing was recorded, or the disk was full"
         )
-    if magic != records.MAGIC:
+    if magic != MCAP0_MAGIC:
         raise BagFormatError(
             f"'{path}' is no MCAP file: it starts with {magic!r}; give the folder of a bag or a "
             "file ending in .mcap"
         )
 
 
-def _from_index(path: Path, stream: BinaryIO, size: int) -> Contents | None:
-    """Read the summary at the end of a file.
+def _summary(stream: BinaryIO, size: int) -> Summary | None:
+    """The summary at the end of a file, its checksum compared; None: there is none.
 
-    Returns:
-        None when there is none, or too little in it.
-
-    Raises:
-        DamagedError: The end of the file is missing or damaged.
+    Raises one of ``_DAMAGE`` when the end of the file is missing or damaged.
     """
-    footer = _footer(stream, size)
+    end = _read(stream, max(size - _END_BYTES, 0), _END_BYTES)
+    footer = next(StreamReader(BytesIO(end), skip_magic=True).records)
+    if not isinstance(footer, Footer):
+        raise ValueError("the footer is missing")
     if footer.summary_start == 0:
         return None
-    length = size - _TAIL_BYTES - footer.summary_start
-    if length < 0:
-        raise DamagedError(f"a summary at byte {footer.summary_start} of a file of {size} bytes")
-    summary = records.read_at(stream, footer.summary_start, length + _FOOTER_BYTES - 4)
-    if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
-        raise DamagedError("a summary with a wrong checksum")
-    return _from_summary(path, summary[:length], footer.summary_start)
+    # The checksum is that of everything before it, and the last number of the footer.
+    checked = size - MAGIC_SIZE - 4 - footer.summary_start
+    content = _read(stream, footer.summary_start, checked)
+    if footer.summary_crc not in (0, zlib.crc32(content)):
+        raise ValueError("a summary with a wrong checksum")
+    stream.seek(0)
+    return SeekingReader(stream, record_size_limit=size).get_summary()
 
 
-def _footer(stream: BinaryIO, size: int) -> records.Footer:
-    if size < _TAIL_BYTES + len(records.MAGIC):
-        raise DamagedError("the end is missing")
-    tail = records.read_at(stream, size - _TAIL_BYTES, _TAIL_BYTES)
-    if records.RECORD_HEADER.unpack_from(tail) != (records.FOOTER, _FOOTER_BYTES - 9):
-        raise DamagedError("the footer is missing")
-    if tail[_FOOTER_BYTES:] != records.MAGIC:
-        raise DamagedError("the last bytes are not those of an MCAP file")
-    return records.parse_footer(Cursor(tail, records.RECORD_HEADER.size))
-
-
-def _from_summary(path: Path, summary: bytes, data_end: int) -> Contents | None:
-    contents = Contents(path)
-    statistics: records.Statistics | None = None
-    for record in records.records(summary):
-        cursor = Cursor(summary, record.start, record.end)
-        contents.declare(summary, record)
-        if record.opcode == records.STATISTICS:
-            statistics = records.parse_statistics(cursor)
-        elif record.opcode == records.CHUNK_INDEX:
-            index = records.parse_chunk_index(cursor)
-            if index.offset + index.length > data_end or index.length < 9:
-                raise DamagedError(f"a chunk at byte {index.offset} of the {data_end} there are")
-            contents.blocks.append(Block(*index[:4], Kind.CHUNK, index.channels))
-    if statistics is None or not _is_complete(contents, statistics):
-        return None
-    contents.counts.update(statistics.counts)
-    contents.blocks.sort(key=lambda block: block.offset)
-    return contents
-
-
-def _is_complete(contents: Contents, statistics: records.Statistics) -> bool:
-    """Whether the summary tells where every message is and what it is."""
-    used = frozenset(statistics.counts).union(*(b.channels or () for b in contents.blocks))
+def _is_complete(summary: Summary) -> bool:
+    """Whether a summary tells where every message is and what it is."""
+    statistics, indexes = summary.statistics, summary.chunk_indexes
+    if statistics is None:
+        return False
+    counts = statistics.channel_message_counts
+    used = set(counts).union(*(index.message_index_offsets for index in indexes))
     return (
-        len(contents.blocks) == statistics.chunk_count
-        and (statistics.chunk_count > 0 or statistics.message_count == 0)
-        and sum(statistics.counts.values()) == statistics.message_count
-        and all(number in contents.channels for number in used)
-        and all(c.schema in {0, *contents.schemas} for c in contents.channels.values())
+        len(indexes) == statistics.chunk_count
+        and (bool(indexes) or statistics.message_count == 0)
+        and sum(counts.values()) == statistics.message_count
+        and used <= summary.channels.keys()
+        and all(c.schema_id in {0, *summary.schemas} for c in summary.channels.values())
     )
+
+
+def _from_summary(path: Path, summary: Summary) -> Contents:
+    blocks = [
+        Block(
+            Kind.CHUNK,
+            index.chunk_start_offset,
+            index.chunk_length,
+            index.message_start_time,
+            index.message_end_time,
+            set(index.message_index_offsets),
+        )
+        for index in summary.chunk_indexes
+    ]
+    blocks.sort(key=lambda block: block.offset)
+    statistics = summary.statistics
+    counts = Counter(statistics.channel_message_counts if statistics else {})
+    return Contents(path, summary.schemas, summary.channels, blocks, counts)
+
+
+class _Place(NamedTuple):
+    """Where a record is, and whether the end of the file cuts it."""
+
+    opcode: int
+    offset: int
+    length: int
+    is_cut: bool
+
+
+def _places(stream: BinaryIO, offset: int, size: int) -> Iterator[_Place]:
+    """The records from an offset on, up to the first one that cannot be followed."""
+    while offset + _RECORD_HEADER.size <= size:
+        stream.seek(offset)
+        opcode, length = _RECORD_HEADER.unpack(stream.read(_RECORD_HEADER.size))
+        if opcode == _NOTHING:
+            return
+        end = offset + _RECORD_HEADER.size + length
+        yield _Place(opcode, offset, min(end, size) - offset, end > size)
+        offset = end
+
+
+def _read(stream: BinaryIO, offset: int, length: int) -> bytes:
+    """Part of a file: all of it, or ValueError."""
+    if not 0 <= length <= _LIMIT_BYTES:
+        raise ValueError(f"a length of {length} bytes")
+    stream.seek(offset)
+    data = stream.read(length)
+    if len(data) != length:
+        raise ValueError(f"the file ends {length - len(data)} bytes too early")
+    return data
+
+
+def _content(data: bytes) -> ReadDataStream:
+    """What a record contains, for mcap to read: it cannot get beyond the end of ``data``."""
+    return ReadDataStream(BytesIO(data[_RECORD_HEADER.size :]))
+
+
+def _chunk(kind: Kind, data: bytes) -> Chunk:
+    """The chunk in the bytes of a block, which is safe to unpack; raises one of ``_DAMAGE``."""
+    if kind is Kind.PLAIN:
+        return Chunk("", data, 0, 0, 0, len(data))
+    if data[:1] != bytes([Opcode.CHUNK]):
+        raise ValueError("another record is in its place")
+    chunk: Chunk = Chunk.read(_content(data))
+    if chunk.compression not in _SIZE_TOLD:
+        raise ValueError(f"compression {chunk.compression!r}, known are zstd and lz4")
+    if chunk.uncompressed_size > _LIMIT_BYTES:
+        raise ValueError(f"a size of {chunk.uncompressed_size} bytes")
+    if kind is Kind.CUT_CHUNK:
+        return _beginning(chunk)
+    told = _SIZE_TOLD[chunk.compression](chunk.data)
+    if told not in (-1, chunk.uncompressed_size):
+        raise ValueError(f"a size of {told} bytes that should be {chunk.uncompressed_size}")
+    return chunk if chunk.uncompressed_crc else _followed(chunk)
+
+
+def _followed(chunk: Chunk) -> Chunk:
+    """A chunk without checksum: mcap takes its last record for whole whatever its length says."""
+    stream, size = get_chunk_data_stream(chunk)
+    data = stream.read(size)
+    end = _end_of_whole_records(data)
+    if end != size:
+        raise ValueError(f"a record breaks off {size - end} bytes before its end")
+    return replace(chunk, compression="", data=data)
+
+
+def _beginning(chunk: Chunk) -> Chunk:
+    """The whole records at the beginning of a chunk whose end is missing."""
+    data = chunk.data
+    if chunk.compression == "lz4":
+        raise ValueError("it breaks off")
+    if chunk.compression == "zstd":
+        unpacking = zstandard.ZstdDecompressor().stream_reader(data)
+        data = unpacking.read(chunk.uncompressed_size)
+    # A checksum tells about all of the content only, which may be there though the record is cut.
+    crc = chunk.uncompressed_crc if len(data) == chunk.uncompressed_size else 0
+    data = data[: _end_of_whole_records(data)]
+    return replace(chunk, compression="", data=data, uncompressed_crc=crc)
+
+
+def _end_of_whole_records(data: bytes) -> int:
+    """Up to where the records of a chunk can be followed."""
+    end = 0
+    for place in _places(BytesIO(data), 0, len(data)):
+        if place.is_cut or (place.opcode == Opcode.MESSAGE and place.length < _MESSAGE_BYTES):
+            break
+        end = place.offset + place.length
+    return end
 
 
 class _Scan:
     """Looks at every record of a file and remembers what it finds."""
 
-    def __init__(self, path: Path, stream: BinaryIO, size: int, *, index_is_sound: bool) -> None:
-        self._index_is_sound = index_is_sound
-        self._chunked = False
+    def __init__(self, path: Path, stream: BinaryIO, size: int, *, summary_is_sound: bool) -> None:
         self._contents = Contents(path)
         self._stream = stream
         self._size = size
-        self._position = len(records.MAGIC)
+        self._summary_is_sound = summary_is_sound
+        self._chunked = False
         self._data_ended = False
         self._broken_chunks = 0
+        self._end = MAGIC_SIZE  # of the last whole record
 
     def run(self) -> Contents:
         """Look at everything up to the end or the first record that cannot be followed."""
-        while self._step():
-            pass
+        for place in _places(self._stream, MAGIC_SIZE, self._size):
+            try:
+                self._look_at(place)
+            except (DamagedError, *_DAMAGE):
+                self._broken_chunks += place.opcode == Opcode.CHUNK and not place.is_cut
+            if not place.is_cut:
+                self._end = place.offset + place.length
         self._note_problems()
         return self._contents
 
-    def _step(self) -> bool:
-        """Look at one record; return whether another one may follow."""
-        header = records.RECORD_HEADER
-        if self._position + header.size > self._size:
-            return False
-        self._stream.seek(self._position)
-        opcode, length = header.unpack(self._stream.read(header.size))
-        left = self._size - self._position - header.size
-        if opcode == records.NOTHING:
-            return False
-        if length > left:
-            self._cut_record(opcode, header.size + left)
-            return False
-        self._whole_record(opcode, header.size + length)
-        self._position += header.size + length
-        return bool(opcode != records.FOOTER)
+    def _look_at(self, place: _Place) -> None:
+        if place.opcode == Opcode.CHUNK:
+            self._chunked |= not place.is_cut
+            self._add_chunk(place)
+        elif place.is_cut:
+            return
+        elif place.opcode == Opcode.MESSAGE and not self._chunked:
+            self._add_plain_message(place)
+        elif place.opcode == Opcode.SCHEMA and self._believes_declarations:
+            self._declare(Schema.read(_content(self._data_of(place))))
+        elif place.opcode == Opcode.CHANNEL and self._believes_declarations:
+            self._declare(Channel.read(_content(self._data_of(place))))
+        elif place.opcode == Opcode.DATA_END:
+            self._data_ended = True
 
     @property
     def _believes_declarations(self) -> bool:
@@ -243,74 +346,64 @@ class _Scan:
         Files with chunks declare them in there, under a checksum; those beside are repeated in the
         summary, and when its checksum is wrong a name in it may be too.
         """
-        return self._index_is_sound or not self._chunked
+        return self._summary_is_sound or not self._chunked
 
-    def _whole_record(self, opcode: int, length: int) -> None:
-        try:
-            if opcode == records.CHUNK:
-                self._chunked = True
-                self._add_chunk(Kind.CHUNK, length)
-            elif opcode == records.MESSAGE:
-                self._add_plain_message(length)
-            elif opcode in (records.SCHEMA, records.CHANNEL) and self._believes_declarations:
-                data = records.read_at(self._stream, self._position, length)
-                self._contents.declare(data, Record(opcode, records.RECORD_HEADER.size, length))
-            elif opcode == records.DATA_END:
-                self._data_ended = True
-        except DamagedError:
-            self._broken_chunks += opcode == records.CHUNK
+    def _data_of(self, place: _Place) -> bytes:
+        return _read(self._stream, place.offset, place.length)
 
-    def _cut_record(self, opcode: int, length: int) -> None:
-        """Get what there is of the chunk that the end of the file cuts."""
-        if opcode == records.CHUNK:
-            try:
-                self._add_chunk(Kind.CUT_CHUNK, length)
-            except DamagedError:
-                pass
+    def _declare(self, record: McapRecord) -> None:
+        """Note the type or topic that a record declares; other records are ignored."""
+        if isinstance(record, Schema):
+            self._contents.schemas.setdefault(record.id, record)
+        elif isinstance(record, Channel):
+            self._contents.channels.setdefault(record.id, record)
 
-    def _add_chunk(self, kind: Kind, length: int) -> None:
-        block = Block(0, 0, self._position, length, kind, None)
-        data = load_block(self._stream, block)
-        found = list(records.records(data, cut=kind is Kind.CUT_CHUNK))
-        messages = [records.message_header(data, r) for r in found if r.opcode == records.MESSAGE]
+    def _add_chunk(self, place: _Place) -> None:
+        kind = Kind.CUT_CHUNK if place.is_cut else Kind.CHUNK
+        block = Block(kind, place.offset, place.length, 0, 0, set())
+        found = load_block(self._stream, block)
         for record in found:
-            self._contents.declare(data, record)
+            self._declare(record)
+        messages = [record for record in found if isinstance(record, Message)]
         if messages:
-            self._contents.counts.update(channel for channel, _, _ in messages)
-            times = [log_ns for _, log_ns, _ in messages]
-            channels = frozenset(channel for channel, _, _ in messages)
-            span = Block(min(times), max(times), self._position, length, kind, channels)
-            self._contents.blocks.append(span)
+            self._contents.counts.update(message.channel_id for message in messages)
+            block.start_ns = min(message.log_time for message in messages)
+            block.end_ns = max(message.log_time for message in messages)
+            block.channels = {message.channel_id for message in messages}
+            self._contents.blocks.append(block)
 
-    def _add_plain_message(self, length: int) -> None:
+    def _add_plain_message(self, place: _Place) -> None:
         """Add a message outside a chunk to the block before it, or start a block with it."""
-        blocks = self._contents.blocks
-        if blocks and blocks[-1].kind is not Kind.PLAIN:
-            raise DamagedError("a message outside the chunks")
-        header = records.RECORD_HEADER.size
-        data = records.read_at(
-            self._stream, self._position, min(length, header + records.MESSAGE_HEADER.size)
-        )
-        channel, log_ns, _ = records.message_header(data, Record(0, header, len(data)))
-        self._contents.counts[channel] += 1
-        single = Block(log_ns, log_ns, self._position, length, Kind.PLAIN, frozenset({channel}))
-        if blocks and _adjoin(blocks[-1], single):
-            blocks[-1] = _join(blocks[-1], single)
-        else:
-            blocks.append(single)
+        if place.length < _MESSAGE_BYTES:
+            raise ValueError(f"a message of {place.length} bytes")
+        self._stream.seek(place.offset + _RECORD_HEADER.size)
+        message = Message.read(ReadDataStream(self._stream), _MESSAGE_HEADER_BYTES)
+        blocks, time_ns = self._contents.blocks, message.log_time
+        last = blocks[-1] if blocks else None
+        if (
+            last is None
+            or last.offset + last.length != place.offset
+            or last.length > _PLAIN_BLOCK_BYTES
+        ):
+            last = Block(Kind.PLAIN, place.offset, 0, time_ns, time_ns, set())
+            blocks.append(last)
+        last.length += place.length
+        last.start_ns, last.end_ns = min(last.start_ns, time_ns), max(last.end_ns, time_ns)
+        last.channels.add(message.channel_id)
+        self._contents.counts[message.channel_id] += 1
 
     def _note_problems(self) -> None:
         counts, channels = self._contents.counts, self._contents.channels
         unknown = sum(count for number, count in counts.items() if number not in channels)
         name, total = f"'{self._contents.path}'", sum(counts.values()) - unknown
         if not self._data_ended:
-            unread = self._size - self._position
+            unread = self._size - self._end
             self._contents.problems.append(
                 f"{name} breaks off after {total} messages without its index, with {unread} bytes "
                 "that cannot be read (it was cut off, probably by a kill or a full disk, or is "
                 "still being recorded)"
             )
-        elif not self._index_is_sound:
+        elif not self._summary_is_sound:
             self._contents.problems.append(
                 f"the index of {name} is missing or damaged ({total} messages were found "
                 "without it)"
@@ -326,21 +419,3 @@ class _Scan:
             )
         for number in counts.keys() - channels.keys():
             del counts[number]
-
-
-def _adjoin(block: Block, single: Block) -> bool:
-    return (
-        block.offset + block.length == single.offset
-        and block.length + single.length <= _PLAIN_BLOCK_BYTES
-    )
-
-
-def _join(block: Block, single: Block) -> Block:
-    return Block(
-        min(block.start_ns, single.start_ns),
-        max(block.end_ns, single.end_ns),
-        block.offset,
-        block.length + single.length,
-        Kind.PLAIN,
-        (block.channels or frozenset()) | (single.channels or frozenset()),
-    )

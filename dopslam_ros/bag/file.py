@@ -12,7 +12,7 @@ from dopslam_ros.bag.errors import BagExistsError, BagWriteError
 class BagFile:
     """End of a file to which bytes are added in whole groups, or not at all.
 
-    What is committed is with the operating system. That the disk stores it too is waited for in a
+    What is flushed is with the operating system. That the disk stores it too is waited for in a
     thread: it may take seconds, in which the one who writes goes on.
 
     Args:
@@ -44,7 +44,7 @@ class BagFile:
         """Offset of the next byte."""
         return self._size + len(self.pending)
 
-    def commit(self) -> None:
+    def flush(self) -> None:
         """Write the group; when the disk refuses, the file stays as it was before the group.
 
         Raises:

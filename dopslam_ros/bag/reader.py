@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
 
-from dopslam_ros.bag import metadata, records
-from dopslam_ros.bag.contents import Block, Contents, Kind, load_block, read_contents
+from mcap.records import Channel, McapRecord, Message
+
+from dopslam_ros.bag import metadata
+from dopslam_ros.bag.contents import Block, Contents, DamagedError, load_block, read_contents
 from dopslam_ros.bag.errors import BagError, BagFormatError
 from dopslam_ros.bag.qos import OfferedQos, from_yaml
-from dopslam_ros.bag.records import Channel, DamagedError
 
 
 @dataclass(frozen=True)
@@ -225,29 +226,18 @@ def _parts(files: list[Contents], wanted: Collection[str] | None) -> list[_Part]
             if wanted is None or channel.topic in wanted
         }
         for block in contents.blocks:
-            if block.channels is None or not block.channels.isdisjoint(names):
+            if not block.channels or not block.channels.isdisjoint(names):
                 parts.append(_Part(len(parts), contents.path, block, names))
     return parts
 
 
-def _rows(part: _Part, data: bytes) -> list[_Row]:
-    """Messages of a part.
-
-    This loop sees every message of a bag: it is written for speed.
-    """
-    rank, names = part.rank, part.names
-    message_header, header_size = records.MESSAGE_HEADER.unpack_from, records.MESSAGE_HEADER.size
+def _rows(part: _Part, records: list[McapRecord]) -> list[_Row]:
+    """Messages of a part on the topics that are wanted."""
     rows: list[_Row] = []
-    for opcode, start, end in records.records(data, cut=part.block.kind is Kind.CUT_CHUNK):
-        if opcode == records.MESSAGE:
-            if end - start < header_size:
-                raise DamagedError(f"a message of {end - start} bytes")
-            channel, _, log_ns, publish_ns = message_header(data, start)
-            name = names.get(channel)
-            if name is not None:
-                payload = data[start + header_size : end]
-                message = BagMessage(name[0], name[1], log_ns, publish_ns, payload)
-                rows.append((log_ns, rank, len(rows), message))
+    for record in records:
+        if isinstance(record, Message) and (name := part.names.get(record.channel_id)):
+            message = BagMessage(*name, record.log_time, record.publish_time, record.data)
+            rows.append((record.log_time, part.rank, len(rows), message))
     return rows
 
 
@@ -263,14 +253,14 @@ def _topics(files: list[Contents]) -> dict[str, TopicInfo]:
 
 
 def _topic_info(contents: Contents, channel: Channel) -> TopicInfo:
-    schema = contents.schemas.get(channel.schema)
+    schema = contents.schemas.get(channel.schema_id)
     return TopicInfo(
         type_name=contents.type_name(channel),
         qos=_qos(channel),
         message_count=0,
         type_hash=channel.metadata.get("topic_type_hash", ""),
-        definition="" if schema is None else schema.text,
-        encoding=channel.encoding,
+        definition="" if schema is None else schema.data.decode(errors="replace"),
+        encoding=channel.message_encoding,
     )
 
 

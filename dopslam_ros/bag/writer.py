@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import IO, Any, cast
+
+from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+from mcap.writer import Writer
 
 from dopslam_ros import __version__
 from dopslam_ros.bag import metadata
 from dopslam_ros.bag.errors import BagWriteError
 from dopslam_ros.bag.file import create_file
-from dopslam_ros.bag.mcapwriter import McapWriter
 from dopslam_ros.bag.qos import OfferedQos, to_yaml
 from dopslam_ros.bag.reader import TopicInfo
 from dopslam_ros.bag.typestore import definition as definition_of
@@ -72,8 +75,10 @@ class BagWriter:
         self._flushed = time.monotonic()
         self._closed = False
         self._sink = create_file(self.path, fsync_seconds)
-        self._mcap = McapWriter(self._sink, chunk_bytes, f"dopslam_ros {__version__}")
-        self._commit()
+        self._span: tuple[int, int] | None = None  # of the log times [ns]
+        self._mcap: Any = Writer(cast("IO[bytes]", self._sink), chunk_bytes)
+        self._mcap.start(Profile.ROS2, f"dopslam_ros {__version__}")
+        self.flush()
 
     @property
     def message_count(self) -> int:
@@ -153,11 +158,12 @@ class BagWriter:
                 f"a message on '{topic}' has log time {log_time_ns} ns and publish time {sent_ns} "
                 "ns: both must be in [0, 2^63)"
             )
-        self._mcap.add_message(entry.channel, log_time_ns, sent_ns, payload)
+        self._mcap.add_message(entry.channel, log_time_ns, payload, sent_ns)
         entry.message_count += 1
+        first, last = self._span or (log_time_ns, log_time_ns)
+        self._span = min(first, log_time_ns), max(last, log_time_ns)
         if self._sink.pending:  # a chunk is full
-            self._flushed = time.monotonic()
-            self._commit()
+            self._hand_on(self._sink.flush)
         elif self._flush_seconds is not None:
             if time.monotonic() - self._flushed >= self._flush_seconds:
                 self.flush()
@@ -169,9 +175,7 @@ class BagWriter:
             BagWriteError: The disk refused; the messages before stay readable.
         """
         self._check_open()
-        self._flushed = time.monotonic()
-        self._mcap.finish_chunk()
-        self._commit()
+        self._hand_on(self._mcap.flush)
 
     def close(self) -> None:
         """Write the index and ``metadata.yaml``. Closing again does nothing.
@@ -212,9 +216,10 @@ class BagWriter:
     ) -> None:
         text = definition_of(type_name) if definition is None else definition
         digest = type_hash_of(type_name) if type_hash is None else type_hash
-        channel = self._mcap.add_channel(
-            self._schema(type_name, text),
+        channel = self._mcap.register_channel(
             topic,
+            MessageEncoding.CDR,
+            self._schema(type_name, text),
             {"offered_qos_profiles": to_yaml(qos), "topic_type_hash": digest},
         )
         self._topics[topic] = _Topic(channel, type_name, digest, qos)
@@ -222,29 +227,32 @@ class BagWriter:
     def _schema(self, type_name: str, text: str) -> int:
         schema = self._schemas.get((type_name, text))
         if schema is None:
-            encoding = "ros2idl" if text.startswith(_IDL_START) else "ros2msg"
-            schema = self._mcap.add_schema(type_name, encoding, text.encode())
+            idl = text.startswith(_IDL_START)
+            encoding = SchemaEncoding.ROS2IDL if idl else SchemaEncoding.ROS2
+            schema = self._mcap.register_schema(type_name, encoding, text.encode())
             self._schemas[type_name, text] = schema
         return schema
 
-    def _commit(self) -> None:
-        """Give finished chunks to the operating system."""
+    def _hand_on(self, flush: Callable[[], None]) -> None:
+        """Give the operating system what ``flush`` does."""
+        self._flushed = time.monotonic()
         try:
-            self._sink.commit()
+            flush()
         except OSError as error:
             self._closed = True
             self._sink.close()
             raise self._failure(error) from error
 
     def _finish(self) -> None:
-        self._mcap.finish_chunk()
-        self._sink.commit()
+        self._mcap.flush()
         information = metadata.dump(
-            metadata.Summary(self._sink.name, self._recorded_topics(), *self._mcap.span)
+            metadata.Summary(
+                self._sink.name, self._recorded_topics(), *(self._span or (None, None))
+            )
         )
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": information})
         self._mcap.finish()
-        self._sink.commit()
+        self._sink.flush()
         self._sink.sync()
         metadata.write(self.path, information)
 

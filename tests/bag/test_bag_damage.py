@@ -143,6 +143,21 @@ def test_damage_inside_an_indexed_file_costs_one_chunk(
     assert reader.damage.count("is left out") == 1
 
 
+def test_a_damaged_summary_is_not_believed(tmp_path: Path, samples: Any, write_bag: Any) -> None:
+    """A topic has another name in there: the one that the chunks tell is right."""
+    data = bytearray(_content(write_bag(tmp_path / "bag", samples, 2000)))
+    (summary_start,) = struct.unpack_from("<Q", data, len(data) - 28)
+    data[data.index(b"/state", summary_start) + 1] ^= 1
+    result = _read(bytes(data), tmp_path)
+    assert result is not None
+    assert result[0] == samples
+    assert result[1] is not None and "300 messages were found without it" in result[1]
+    data[data.index(b"zstd") + 100] ^= 1  # in the chunk that declares the topics
+    messages, damage = _read(bytes(data), tmp_path) or (samples, None)
+    assert messages == []
+    assert damage is not None and "the record of their topic is lost" in damage
+
+
 def _record(opcode: int, content: bytes, length: int | None = None) -> bytes:
     return struct.pack("<BQ", opcode, len(content) if length is None else length) + content
 
@@ -159,6 +174,10 @@ def _claiming_frame(size: int) -> bytes:
 
 
 BOMB = zstandard.compress(bytes(2**28))
+CHANNEL = _record(4, struct.pack("<HHIsIsI", 1, 0, 1, b"x", 1, b"x", 0))
+MESSAGE = _record(5, struct.pack("<HIQQ", 1, 0, 0, 0) + b"payload")
+LONG = CHANNEL + _record(5, struct.pack("<HIQQ", 1, 0, 0, 0) + b"payload", 99)
+SHORT = CHANNEL + _record(5, b"\1\0") + MESSAGE
 LIES = {
     "record": _record(6, b"", 2**63),
     "record of all ones": _record(5, b"", 2**64 - 1),
@@ -172,6 +191,9 @@ LIES = {
     "lz4 size": _chunk(b"\x04\x22\x4d\x18", 2**62, b"lz4"),
     "unknown compression": _chunk(b"x", 1, b"brotli"),
     "message": _record(5, b"short"),
+    "message longer than its chunk": _chunk(LONG, len(LONG), b""),
+    "message shorter than its header": _chunk(SHORT, len(SHORT), b""),
+    "message beside chunks": _chunk(CHANNEL, len(CHANNEL), b"") + MESSAGE,
     "nested": _chunk(_chunk(b"", 0, b""), len(_chunk(b"", 0, b"")), b""),
     "empty records": _record(0, b"") * 2000,
 }
@@ -186,6 +208,12 @@ def test_lengths_are_not_believed(tmp_path: Path, lie: str) -> None:
     assert messages == []
     assert damage is not None
     assert time.monotonic() - begin < 1.0
+
+
+def test_a_message_without_its_header_costs_no_other(tmp_path: Path) -> None:
+    data = MAGIC + _record(1, bytes(8)) + CHANNEL + MESSAGE + _record(5, b"\1\0") + MESSAGE
+    messages, _ = _read(data, tmp_path) or ([], None)
+    assert messages == [("x", 0, 0, b"payload")] * 2
 
 
 def test_file_that_ends_in_zeros(tmp_path: Path, samples: Any, write_bag: Any) -> None:

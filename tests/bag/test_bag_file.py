@@ -16,7 +16,7 @@ from dopslam_ros.bag.file import BagFile
 def test_writing_goes_on_while_the_disk_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is committed meanwhile can be read: it is with the operating system."""
+    """What is flushed meanwhile can be read: it is with the operating system."""
     waiting, go_on = threading.Event(), threading.Event()
 
     def slow(descriptor: int) -> None:
@@ -28,7 +28,7 @@ def test_writing_goes_on_while_the_disk_is_waited_for(
     assert waiting.wait(60.0)
     for group in (b"one", b"two"):
         file.write(group)
-        file.commit()
+        file.flush()
     assert (tmp_path / "bag").read_bytes() == b"onetwo"
     go_on.set()
     file.close()
@@ -38,7 +38,7 @@ def test_writing_goes_on_while_the_disk_is_waited_for(
 def test_a_disk_that_cannot_store_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait: Callable[..., None]
 ) -> None:
-    """At the next commit, with the error that the disk gave."""
+    """At the next flush, with the error that the disk gave."""
 
     def broken(descriptor: int) -> None:
         raise OSError(errno.EIO, "the disk is broken")
@@ -48,7 +48,7 @@ def test_a_disk_that_cannot_store_is_told(
 
     def refused() -> bool:
         try:
-            file.commit()
+            file.flush()
         except OSError as error:
             return "the disk is broken" in str(error)
         return False

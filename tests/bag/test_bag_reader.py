@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import random
 import time
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
@@ -139,6 +141,19 @@ def test_shapes_of_mcap_files(tmp_path: Path, samples: Any, shape: str, order: s
         topic: sum(sample.topic == topic for sample in samples) for topic in ("/state", "/odometry")
     }
     assert {i.type_name for i in reader.topics.values()} == {UE_STATE}
+
+
+@pytest.mark.parametrize("shape", ["usual", "no chunks", "no indexes", "lz4"])
+def test_memory_is_that_of_a_part_of_the_file(tmp_path: Path, samples: Any, shape: str) -> None:
+    payload = np.random.default_rng(6).bytes(60_000)
+    samples = [samples[0]._replace(log_time_ns=n, payload=payload) for n in range(500)]
+    _write_mcap(tmp_path / "file.mcap", samples, **SHAPES[shape])
+    tracemalloc.start()
+    try:
+        assert sum(1 for _ in BagReader(tmp_path / "file.mcap").messages()) == 500
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
 
 
 def test_order_is_that_of_mcap(tmp_path: Path, samples: Any, write_bag: Any) -> None:
