@@ -23,7 +23,7 @@ from dopslam_ros.core.pmb import FilterParameters, initial_filter_state
 from dopslam_ros.core.pmb import coordinates_kernels as placement
 from dopslam_ros.core.pmb import inactive_kernels as inactive
 from dopslam_ros.core.pmb.birth import Births
-from dopslam_ros.core.pmb.density import Regressions
+from dopslam_ros.core.pmb.density import Regressions, block_starts
 from dopslam_ros.core.pmb.hypotheses import Hypotheses, LocalWeights
 from dopslam_ros.core.pmb.likelihood import Likelihoods
 from dopslam_ros.core.pmb.newborn import Newborn
@@ -71,6 +71,7 @@ def touch_the_rest() -> None:
     observed, ranked = prepare(nothing, parameters), _nothing_heard()
     updated = continued(state.density, ranked, ranked.born.kept, observed, constants)
     conclude(ranked.hypotheses.weight, updated, constants)
+    block_starts(len(state.ue_mean), state.component_type)
     inactive.left_behind(state.density, constants.sp_field_of_view)
     inactive.near(np.zeros((0, 3)), np.zeros(0), state.ue_mean[:2], 0.0)
     none, nobody = np.zeros((0, 3)), np.zeros((0, 3, 3))
