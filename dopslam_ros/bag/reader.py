@@ -13,8 +13,10 @@ from typing import BinaryIO, NamedTuple, TypeAlias
 from mcap.records import Channel, McapRecord, Message
 
 from dopslam_ros.bag import metadata
-from dopslam_ros.bag.contents import Block, Contents, DamagedError, load_block, read_contents
+from dopslam_ros.bag.chunks import DamagedError, load_block
+from dopslam_ros.bag.contents import Block, Contents
 from dopslam_ros.bag.errors import BagError, BagFormatError
+from dopslam_ros.bag.opening import read_contents
 from dopslam_ros.bag.qos import OfferedQos, from_yaml
 
 
