@@ -7,8 +7,6 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from typing import Any
 
-from tqdm import tqdm
-
 from dopslam_ros.core.channel import DOPPLER
 from dopslam_ros.core.scenario import load_scenario
 from dopslam_ros.options import UsageError, read_settings, with_progress, write_json
@@ -122,4 +120,4 @@ def _finish(collection: Collection, options: Any, failed: list[Outcome]) -> None
 
 
 def _say(text: str) -> None:
-    tqdm.write(f"dopslam: {text}", file=sys.stderr)
+    print(f"dopslam: {text}", file=sys.stderr)
