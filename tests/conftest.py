@@ -41,7 +41,9 @@ _domains = itertools.count(7 * os.getpid())
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compiles before several processes would all do it at once."""
+    """Hears Ctrl-C; compiles before several processes would all do it at once."""
+    # Who starts the tests in the background may have it ignored, also by all that they start.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if getattr(config.option, "numprocesses", None):
         from dopslam_ros.core.filter import FilterParameters
         from dopslam_ros.core.session import BoundsParameters
@@ -409,6 +411,14 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
     processes = Processes(tmp_path)
     yield processes
     processes.close()
+
+
+@pytest.fixture
+def in_background() -> Iterator[None]:
+    """Ctrl-C is ignored, also by what is started, as in a job that a script starts with `&`."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture
