@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,6 +52,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
         warm_up_filter(FilterParameters())
         warm_up_bounds(BoundsParameters())
+        # What only these compile they compile beside each other.
+        others = [FilterParameters(density="pmbm"), FilterParameters(mapping=False)]
+        with ProcessPoolExecutor(len(others)) as pool:
+            list(pool.map(warm_up_filter, others))
 
 
 def new_domain() -> int:

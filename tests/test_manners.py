@@ -28,7 +28,6 @@ from dopslam_ros.stopping import Stop, until_stopped
 from dopslam_ros.study.estimators import KINDS
 from dopslam_ros.study.names import FILTERS
 
-pytestmark = pytest.mark.once
 Capture = pytest.CaptureFixture[str]
 
 

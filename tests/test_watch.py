@@ -22,7 +22,6 @@ from dopslam_ros.messages import make_diagnostics
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Processes
 
-pytestmark = pytest.mark.once
 
 
 def drawn(board: watch.Board) -> str:

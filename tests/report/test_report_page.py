@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from tests.conftest import LiveRun
     from tests.report.conftest import Browser
 
-pytestmark = pytest.mark.once
 STEPS = 8
 LONG = 2000
 SCALES = "const {xaxis, yaxis} = map._fullLayout; return [xaxis._m, -yaxis._m];"
