@@ -54,7 +54,6 @@ setup(
         "PyYAML>=6.0,<7",
         "matplotlib>=3.6,<4",
         "plotly>=5.15,<8",
-        "tqdm>=4.60,<5",
         "rich>=13.7,<16",
         "argcomplete>=3.1,<4",
         "rosbags>=0.11.9,<0.12",

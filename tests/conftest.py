@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,7 +42,9 @@ _domains = itertools.count(7 * os.getpid())
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compiles before several processes would all do it at once."""
+    """Hears Ctrl-C; compiles before several processes would all do it at once."""
+    # Who starts the tests in the background may have it ignored, also by all that they start.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if getattr(config.option, "numprocesses", None):
         from dopslam_ros.core.pmb import FilterParameters
         from dopslam_ros.core.settings.bounding import BoundsParameters
@@ -49,6 +52,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
         warm_up_filter(FilterParameters())
         warm_up_bounds(BoundsParameters())
+        # What only these compile they compile beside each other.
+        others = [FilterParameters(density="pmbm"), FilterParameters(mapping=False)]
+        with ProcessPoolExecutor(len(others)) as pool:
+            list(pool.map(warm_up_filter, others))
 
 
 def new_domain() -> int:
@@ -409,6 +416,14 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
     processes = Processes(tmp_path)
     yield processes
     processes.close()
+
+
+@pytest.fixture
+def in_background() -> Iterator[None]:
+    """Ctrl-C is ignored, also by what is started, as in a job that a script starts with `&`."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

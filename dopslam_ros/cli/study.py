@@ -7,8 +7,6 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from typing import Any
 
-from tqdm import tqdm
-
 from dopslam_ros.cli.options import UsageError, read_settings, with_progress, write_json
 from dopslam_ros.core.settings.layout import DOPPLER
 from dopslam_ros.lab.study.executors import blas_is_limited, run_local, run_on_dask
@@ -122,4 +120,4 @@ def _finish(collection: Collection, options: Any, failed: list[Outcome]) -> None
 
 
 def _say(text: str) -> None:
-    tqdm.write(f"dopslam: {text}", file=sys.stderr)
+    print(f"dopslam: {text}", file=sys.stderr)

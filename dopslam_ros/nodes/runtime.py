@@ -379,6 +379,7 @@ def _spin(create: Callable[[], DopslamNode]) -> int:
         stop = True
         executor.wake()
 
+    # SIGINT even where it is ignored, as in the background: a launch file stops its nodes with it.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, ask_to_stop)
     node: DopslamNode | None = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -59,9 +58,12 @@ def running(
 
 
 def ask_to_stop(process: subprocess.Popen[bytes]) -> None:
-    """As Ctrl-C would, if it still runs."""
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
+    """As Ctrl-C would, if it still runs; one that has hardly begun ends at once.
+
+    Not by SIGINT: where this process is a job in the background, it is ignored from the start, and
+    a node that has not come to its own handlers yet would go on.
+    """
+    process.terminate()
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:

@@ -19,8 +19,9 @@ T = TypeVar("T")
 class Stop:
     """Within it Ctrl-C only ends loops over ``until_stopped(...)``; a second one is as ever.
 
-    A Stop within another leaves it to that one. Where Ctrl-C is ignored, and in other threads than
-    the main one, which it never meets, a Stop does nothing.
+    A Stop within another leaves it to that one. Where Ctrl-C is ignored, as who starts a command in
+    the background wants it, and in other threads than the main one, which it never meets, a Stop
+    does nothing.
 
     Args:
         keep: the loops end as if there were no more items, so that what was done can be kept;

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,9 +15,8 @@ import numpy as np
 import pytest
 
 from dopslam_ros.bag import BagReader, BagWriter
-from dopslam_ros.cli import demo
-from dopslam_ros.messages import topics
 from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.system.processes import CLOSING_SECONDS, running
 
 if TYPE_CHECKING:
     from tests.conftest import Process, Processes
@@ -99,6 +101,16 @@ def test_a_node_that_dies_is_named(
     with pytest.raises(demo.DemoError, match=r"node recorder ended with code 2: see recorder\.log"):
         demo.run_live(str(scene), 1, 40.0, tmp_path, lambda done: None)
     assert "exists already" in (tmp_path / "recorder.log").read_text("utf-8")
+
+
+@pytest.mark.usefixtures("in_background")
+def test_in_the_background_a_process_that_has_hardly_begun_ends(tmp_path: Path) -> None:
+    """It ignores Ctrl-C like the one who began it, and has no handlers of its own yet."""
+    command = [sys.executable, "-c", f"import time; time.sleep({2 * CLOSING_SECONDS})"]
+    started = time.monotonic()
+    with running(command, tmp_path / "log", os.environ):
+        pass
+    assert time.monotonic() - started < CLOSING_SECONDS  # it did not have to be killed
 
 
 def test_a_difference_is_found(simulated: Path, tmp_path: Path) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import pkgutil
+import re
 import shlex
 import signal
 import subprocess
@@ -15,7 +18,9 @@ from typing import Any
 import pytest
 
 from dopslam_ros.bag import BagReader
+from dopslam_ros.cli import options
 from dopslam_ros.cli.main import COMMANDS, TALKERS, _parser, main
+from dopslam_ros.cli.options import silence, with_progress
 from dopslam_ros.lab.bench.suite import BENCHMARKS
 from dopslam_ros.lab.bench.titles import TITLES
 from dopslam_ros.lab.study.estimators import KINDS
@@ -24,7 +29,6 @@ from dopslam_ros.messages import topics
 from dopslam_ros.simulation.scenes import builtin_scenarios
 from dopslam_ros.system.stopping import Stop, until_stopped
 
-pytestmark = pytest.mark.once
 Capture = pytest.CaptureFixture[str]
 
 
@@ -90,6 +94,63 @@ def test_quiet(tmp_path: Path, scene: Path, capfd: pytest.CaptureFixture[str]) -
         assert "--quiet" in text and "--json" in text, command
 
 
+class Terminal(io.StringIO):
+    """Keeps what is written, for those who draw on terminals."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """To stand in the place of standard error."""
+    monkeypatch.setattr(options, "REDRAW_SECONDS", 0.0)
+    for name, value in {"TERM": "xterm", "COLUMNS": "100"}.items():
+        monkeypatch.setenv(name, value)
+    return Terminal()
+
+
+def test_a_bar_counts_and_messages_stand_above_it(terminal: Terminal, capsys: Capture) -> None:
+    """From what was done before, to all of them; results go to standard output."""
+    seen = []
+    with contextlib.redirect_stderr(terminal):
+        for item in with_progress("abc", 5, "letters", done=2):
+            seen.append(item)
+            print(f"result {item}")
+            print(f"dopslam: [{item}] failed", file=sys.stderr)
+    assert seen == ["a", "b", "c"]
+    assert capsys.readouterr().out == "result a\nresult b\nresult c\n"
+    # Colours, and moves of the cursor to the beginning of what is drawn anew.
+    lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]|\r", "\n", terminal.getvalue()).split("\n")
+    assert [line.strip() for line in lines if "failed" in line] == [
+        f"dopslam: [{item}] failed" for item in "abc"
+    ]
+    counts = [line.strip() for line in lines if re.fullmatch(r" *\d/5 *", line)]
+    assert list(dict.fromkeys(counts)) == ["2/5", "3/5", "4/5", "5/5"]
+
+
+def test_a_bar_leaves_the_terminal_as_it_was(terminal: Terminal) -> None:
+    """Also when the loop is left, and where nobody knows how many there will be."""
+    show, hide = "\x1b[?25h", "\x1b[?25l"  # the cursor
+    with contextlib.redirect_stderr(terminal):
+        with pytest.raises(KeyboardInterrupt):
+            for item in with_progress(range(9), None, "numbers"):
+                if item == 3:
+                    assert sys.stderr is not terminal
+                    raise KeyboardInterrupt
+        assert sys.stderr is terminal
+    assert "3/?" in terminal.getvalue()
+    assert terminal.getvalue().rfind(show) > terminal.getvalue().rfind(hide) >= 0
+
+
+def test_no_bar_without_a_terminal(terminal: Terminal, capfd: pytest.CaptureFixture[str]) -> None:
+    """Nor when nothing is to be said."""
+    with contextlib.redirect_stderr(terminal), silence(True):
+        assert list(with_progress(range(3), 3, "numbers")) == [0, 1, 2]
+    assert list(with_progress(range(3), 3, "numbers")) == [0, 1, 2]
+    assert capfd.readouterr() == ("", "") and terminal.getvalue() == ""
+
+
 def completions(line: str, tmp_path: Path) -> list[str]:
     """What the shell would offer at the end of a line."""
     out = tmp_path / "completions"
@@ -113,7 +174,7 @@ def test_completion(tmp_path: Path) -> None:
     assert set(completions("dopslam simulate --scenario ", tmp_path)) >= set(builtin_scenarios())
 
 
-HEAVY = {"matplotlib", "numba", "numpy", "plotly", "rclpy", "rich", "rosbags", "scipy", "tqdm"}
+HEAVY = {"matplotlib", "numba", "numpy", "plotly", "rclpy", "rich", "rosbags", "scipy"}
 
 
 @pytest.mark.parametrize(

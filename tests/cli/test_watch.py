@@ -23,8 +23,6 @@ from dopslam_ros.messages.conversion import make_diagnostics
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Processes
 
-pytestmark = pytest.mark.once
-
 
 def drawn(board: watch.Board) -> str:
     """A frame as text."""

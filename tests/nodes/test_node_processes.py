@@ -83,11 +83,15 @@ def test_separate_processes_in_any_order(
         assert bag_payloads(bag, topic) == live.heard[topic.name], topic.name
 
 
+@pytest.mark.usefixtures("in_background")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_every_node_ends_cleanly_on_a_signal(
     processes: Processes, tmp_path: Path, simulated: Path, scene: Path, number: signal.Signals
 ) -> None:
-    """All five, idle or waiting: exit 0 and no traceback, on Ctrl-C and on a kill."""
+    """All five, idle or waiting: exit 0 and no traceback, on SIGINT and on a kill.
+
+    Also where they have inherited that SIGINT is ignored: it is how a launch file stops its nodes.
+    """
     nodes = {
         "simulator": processes.node("simulator", scenario=scene, wait_for_nodes="nobody"),
         "filter": processes.node("filter"),

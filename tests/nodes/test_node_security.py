@@ -25,7 +25,6 @@ from dopslam_ros.nodes.simulator import SimulatorNode
 if TYPE_CHECKING:
     from tests.conftest import Ros
 
-pytestmark = pytest.mark.once
 ROOT = Path(__file__).resolve().parents[2]
 POLICY = ROOT / "config" / "sros2_policy.xml"
 RULES = (("topics", "publish"), ("topics", "subscribe"), ("services", "reply"))

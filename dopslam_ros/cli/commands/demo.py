@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from dopslam_ros.cli.commands.replay import print_summary
-from dopslam_ros.cli.options import add_json, add_scenario, add_seed, positive_number, write_json
+from dopslam_ros.cli.options import (
+    add_json,
+    add_scenario,
+    add_seed,
+    positive_number,
+    progress_bar,
+    write_json,
+)
 from dopslam_ros.system.files import write_whole
 from dopslam_ros.system.stopping import Stop
 
@@ -30,8 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: Any) -> int:
     """Runs it; returns 1 if the replay is not what was recorded."""
-    from tqdm import tqdm
-
     from dopslam_ros.cli.demo import new_folder, run_live
     from dopslam_ros.simulation.scenario import load_scenario
 
@@ -39,12 +44,7 @@ def run(options: Any) -> int:
     seed = scenario.seed if options.seed is None else options.seed
     folder = new_folder(options.out, scenario)
     print(f"scene '{scenario.name}', seed {seed}, {options.rate:g} times real time -> {folder}")
-    with tqdm(total=scenario.steps, desc="live", unit="step") as bar:
-
-        def show(done: int) -> None:
-            if done > bar.n:
-                bar.update(done - bar.n)
-
+    with progress_bar(scenario.steps, "live") as show:
         bag = run_live(options.scenario, seed, options.rate, folder, show)
     with Stop():
         return _replayed(bag, folder, f"{scenario.name}, seed {seed}", options.json)

@@ -190,14 +190,14 @@ def listen(node: Node, topic: topics.Topic, callback: Any) -> Any:
 
 
 def spin(node: Node) -> None:
-    """Until SIGINT."""
+    """Until SIGTERM."""
     stopped = False
 
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal stopped
         stopped = True
 
-    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while not stopped:

@@ -208,7 +208,6 @@ def compared(sims: Path, tmp_path_factory: pytest.TempPathFactory) -> Compared:
     return Compared(page, json.loads(result.read_text())["rows"], said.getvalue())
 
 
-@pytest.mark.once
 def test_the_command(compared: Compared, browser: Browser) -> None:
     """Tables on the terminal, the same numbers as JSON, a page that loads alone."""
     out, rows, said = compared.page, compared.rows, compared.said
@@ -226,7 +225,6 @@ def test_the_command(compared: Compared, browser: Browser) -> None:
     assert all(f"{row['position_rmse']['value']:.4f}" in table for row in rows)
 
 
-@pytest.mark.once
 def test_a_zoom_is_shared(compared: Compared, browser: Browser) -> None:
     """All charts over time show the same piece of it; the map of the tracks stays."""
     browser.show(compared.page)
@@ -240,7 +238,6 @@ def test_a_zoom_is_shared(compared: Compared, browser: Browser) -> None:
     assert not browser.complaints()
 
 
-@pytest.mark.once
 def test_bags_without_truth(
     sims: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], browser: Browser
 ) -> None:

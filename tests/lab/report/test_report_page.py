@@ -20,11 +20,9 @@ from dopslam_ros.simulation.recording import write_simulation
 from dopslam_ros.simulation.scenario import load_scenario
 
 if TYPE_CHECKING:
-    from tests.report.conftest import Browser
-
     from tests.conftest import LiveRun
+    from tests.lab.report.conftest import Browser
 
-pytestmark = pytest.mark.once
 STEPS = 8
 LONG = 2000
 SCALES = "const {xaxis, yaxis} = map._fullLayout; return [xaxis._m, -yaxis._m];"
