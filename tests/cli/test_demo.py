@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 from dopslam_ros.bag import BagReader, BagWriter
+from dopslam_ros.cli import demo
+from dopslam_ros.messages import topics
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.system.processes import CLOSING_SECONDS, running
 

@@ -227,30 +227,30 @@ def test_ctrl_c_ends_a_loop_after_its_item() -> None:
     assert list(until_stopped(range(3))) == [0, 1, 2] and Stop().code() == 0
 
 
-REPLAYED = "replay._Run.feed"
+REPLAYED = "offline.replay._Run.feed"
 # Where each command is when Ctrl-C comes: calling what is compiled.
 COMPILED = {
-    "simulate --scenario {scene} --out {new}": "simulation.snapshot_messages",
+    "simulate --scenario {scene} --out {new}": "simulation.recording.snapshot_messages",
     "replay {bag}": REPLAYED,
     "report {bag} --out {new}": REPLAYED,
     "compare {bag} {bag}:gamma=5 --json {new}": REPLAYED,
     "demo --scenario {scene} --out {new}": REPLAYED,
-    "map {map} --json {new}": "mapinfo.reported_landmarks",
-    "bounds --json {new}": "core.study.nominal_bounds",
-    "study --scenario {scene} --runs 1 --workers 1": "study.run.judge_step",
-    "trouble --kinds kidnap none --json {new}": "study.trouble_command.trial",
+    "map {map} --json {new}": "cli.saved_map.reported_landmarks",
+    "bounds --json {new}": "simulation.matched.nominal_bounds",
+    "study --scenario {scene} --runs 1 --workers 1": "lab.study.run.judge_step",
+    "trouble --kinds kidnap none --json {new}": "cli.failure_injection.trial",
     **{
         f"bench --quick --only {name} --json {{new}}": place
         for name, place in (
-            ("step", "bench.steps.step"),
-            ("marginal", "bench.steps.step"),
-            ("map", "bench.steps.step"),
-            ("view", "bench.steps.step"),
+            ("step", "lab.bench.steps.step"),
+            ("marginal", "lab.bench.steps.step"),
+            ("map", "lab.bench.steps.step"),
+            ("view", "lab.bench.steps.step"),
             ("replay", REPLAYED),
-            ("soak", "bench.soak.snapshot_messages"),
-            ("bounds", "bench.batch.BoundsSession.add_world"),
-            ("gospa", "bench.pieces.gospa"),
-            ("assignment", "bench.pieces.k_best_assignments"),
+            ("soak", "lab.bench.soak.snapshot_messages"),
+            ("bounds", "lab.bench.batch.BoundsSession.add_world"),
+            ("gospa", "lab.bench.pieces.gospa"),
+            ("assignment", "lab.bench.pieces.k_best_assignments"),
         )
     },
 }

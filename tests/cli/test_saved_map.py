@@ -17,7 +17,7 @@ from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import all_landmarks
 from dopslam_ros.system.storage import read_checkpoint, write_checkpoint
 
-PAPER = Path(__file__).resolve().parents[1] / "bags" / "paper"
+PAPER = Path(__file__).resolve().parents[2] / "bags" / "paper"
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from dopslam_ros.simulation.scenario import ScenarioError
 if TYPE_CHECKING:
     from tests.conftest import Processes
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILE = ROOT / "launch" / "dopslam.launch.py"
 STEPS = 8
 # Seconds for nodes that compile first, on a busy machine.

@@ -25,7 +25,7 @@ from dopslam_ros.simulation.recording import write_simulation
 from dopslam_ros.simulation.scenario import load_scenario
 
 if TYPE_CHECKING:
-    from tests.report.conftest import Browser
+    from tests.lab.report.conftest import Browser
 
 RUNS = 3
 

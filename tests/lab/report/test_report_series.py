@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tests.conftest import LiveRun
 
 STEPS = 8
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module")
