@@ -28,7 +28,7 @@ from dopslam_ros.core.pmb.hypotheses import Hypotheses, LocalWeights
 from dopslam_ros.core.pmb.likelihood import Likelihoods
 from dopslam_ros.core.pmb.newborn import Newborn
 from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.step_kernels import DataAssociation, conclude, continued, learn
+from dopslam_ros.core.pmb.step_kernels import DataAssociation, condition_on, posterior, slam
 from dopslam_ros.core.session.bounding import BoundsSession, WorldState
 from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.core.settings.bounding import BoundsParameters
@@ -68,9 +68,9 @@ def touch_the_rest() -> None:
     parameters = FilterParameters()
     state, constants = initial_filter_state(parameters), parameters.constants
     nothing = MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM)))
-    observed, ranked = prepare(nothing, parameters), _nothing_heard()
-    updated = continued(state.density, ranked, ranked.born.kept, observed, constants)
-    conclude(ranked.hypotheses.weight, updated, constants)
+    observed, association = prepare(nothing, parameters), _nothing_heard()
+    updated = condition_on(state.density, association, association.born.kept, observed, constants)
+    posterior(association.hypotheses.weight, updated, constants)
     block_starts(len(state.ue_mean), state.component_type)
     inactive.left_behind(state.density, constants.sp_field_of_view)
     inactive.near(np.zeros((0, 3)), np.zeros(0), state.ue_mean[:2], 0.0)
@@ -85,7 +85,7 @@ def touch_the_rest() -> None:
 @contextmanager
 def _a_second_process() -> Iterator[None]:
     """Compiles while this one does, where the step is not compiled yet; ends with it."""
-    if not sys.executable or any(cache_folder().rglob(f"*.{learn.__name__}-*.nbi")):
+    if not sys.executable or any(cache_folder().rglob(f"*.{slam.__name__}-*.nbi")):
         yield
         return
     command = [sys.executable, "-c", f"import {__name__} as w; w.touch_the_rest()"]

@@ -7,7 +7,6 @@ import math
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.linalg.small import cholesky
-from dopslam_ros.core.settings.layout import UE
 
 # What rounding may do to a covariance: relative to its variances, and at all.
 ASYMMETRY, INDEFINITENESS, TINY = 1e-9, 1e-9, 1e-12
@@ -16,15 +15,16 @@ MOST_FACTORED = 64
 
 
 @from_python
-def is_gaussian(mean: FloatArray, covariance: FloatArray) -> bool:
+def is_gaussian(mean: FloatArray, covariance: FloatArray, first: int) -> bool:
     """Whether all is finite, symmetric and positive definite, as far as rounding lets one tell.
 
     Of a large covariance, whose factor would cost as much as a step, all variances are looked at
-    and the vehicle's part is factored.
+    and the first part is factored.
 
     Args:
-        mean: (n,), the vehicle first.
+        mean: (n,), what matters most first.
         covariance: (n, n).
+        first: how many numbers matter most.
     """
     n, most = len(mean), 0.0
     for i in range(n):
@@ -42,7 +42,7 @@ def is_gaussian(mean: FloatArray, covariance: FloatArray) -> bool:
                 and abs(covariance[i, j] - covariance[j, i]) <= within
             ):
                 return False
-    size = n if n <= MOST_FACTORED else UE
+    size = n if n <= MOST_FACTORED else first
     factor = covariance[:size, :size].copy()
     for i in range(size):
         factor[i, i] += INDEFINITENESS * factor[i, i] + TINY

@@ -19,6 +19,7 @@ from dopslam_ros.core.linalg.arrays import (
     floats,
     integers,
 )
+from dopslam_ros.core.linalg.vec import SMALLEST_DISTANCE
 from dopslam_ros.core.models import channel_kernels as kernels
 from dopslam_ros.core.settings.layout import DIM, LandmarkType
 
@@ -68,10 +69,12 @@ def observe(
         ValueError: the shapes do not fit together.
     """
     count = len(types)
-    check_shapes(state=(state, (4,)), positions=(positions, (count, 3)), bs=(bs_position, (3,)))
+    check_shapes(
+        state=(state, (len(state),)), positions=(positions, (count, 3)), bs=(bs_position, (3,))
+    )
     paths = Paths(
         np.empty((count, DIM)),
-        np.empty((count, DIM, 4)),
+        np.empty((count, DIM, len(state))),
         np.empty((count, DIM, 3)),
         np.empty(count, dtype=np.bool_),
         np.empty(count, dtype=np.bool_),
@@ -103,10 +106,10 @@ def incidence_points(
     ue = np.array([state[0], state[1], ue_height])
     target = np.where((types == LandmarkType.BS)[:, None], bs_position, positions)
     leg = target - bs_position
-    normal = leg / np.maximum(np.linalg.norm(leg, axis=1), kernels.SMALLEST_DISTANCE)[:, None]
+    normal = leg / np.maximum(np.linalg.norm(leg, axis=1), SMALLEST_DISTANCE)[:, None]
     along = np.einsum("mi,mi->m", target - ue, normal)
     height = np.einsum("mi,mi->m", 0.5 * (target + bs_position) - ue, normal)
-    crosses = (height > kernels.SMALLEST_DISTANCE) & (along > height)
+    crosses = (height > SMALLEST_DISTANCE) & (along > height)
     fraction = np.where(crosses, height / np.where(crosses, along, 1.0), np.nan)
     point = ue + fraction[:, None] * (target - ue)
     return np.where((types == LandmarkType.VA)[:, None], point, target)

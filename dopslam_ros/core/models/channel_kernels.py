@@ -1,15 +1,98 @@
-"""h(x, s) and its derivatives, for one landmark and for many."""
+"""h(x, s) of eqs. (4)-(11) and its derivatives A = dh/ds, B = dh/dx, for one landmark and for many."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python, jit
-from dopslam_ros.core.settings.layout import BS, DIM, SP, VA
+from dopslam_ros.core.linalg.vec import (
+    SMALLEST_DISTANCE,
+    Vec,
+    between,
+    dot,
+    horizontal,
+    scaled,
+    unit,
+    vec,
+)
+from dopslam_ros.core.settings.layout import (
+    AOA_AZIMUTH,
+    AOA_ELEVATION,
+    AOD_AZIMUTH,
+    AOD_ELEVATION,
+    BS,
+    CLOCK_BIAS,
+    DIM,
+    DOPPLER,
+    HEADING,
+    SP,
+    TOA,
+    VA,
+    X,
+    Y,
+)
 
-# Two points closer than this [m] have no direction from one to the other.
-SMALLEST_DISTANCE = 1e-6
+
+class Legs(NamedTuple):
+    """The geometry of a path.
+
+    Attributes:
+        distance: from the vehicle to the landmark [m].
+        arrival: unit vector along it, u.
+        leg: from the BS to the landmark, or to the vehicle for the BS itself [m].
+        outward: unit vector along it, n; of a VA the normal of its wall.
+        departure: unit vector in which the path leaves the BS, w.
+    """
+
+    distance: float
+    arrival: Vec
+    leg: float
+    outward: Vec
+    departure: Vec
+
+
+@jit
+def legs_of(vehicle: Vec, bs: Vec, landmark: Vec, kind: int) -> Legs:
+    """The geometry of the path over a landmark of some type; its own position for the BS."""
+    distance, arrival = unit(between(vehicle, landmark))
+    leg, outward = unit(between(bs, vehicle if kind == BS else landmark))
+    departure = outward
+    if kind == VA:  # the arrival mirrored at the wall
+        departure = mirrored(arrival, outward)
+    return Legs(distance, arrival, leg, outward, departure)
+
+
+@jit
+def mirrored(u: Vec, n: Vec) -> Vec:
+    """-(I - 2 n n') u: the other way along u, mirrored at the plane with the normal n."""
+    along = scaled(2.0 * dot(n, u), n)
+    return Vec(along.x - u.x, along.y - u.y, along.z - u.z)
+
+
+@jit
+def toa(legs: Legs, clock_bias: float, kind: int) -> float:
+    """Length of the path and clock bias [m], eq. (4); that of a VA is its distance."""
+    return legs.distance + clock_bias + (legs.leg if kind == SP else 0.0)
+
+
+@jit
+def azimuth(direction: Vec) -> float:
+    """Of a direction [rad], counter-clockwise from x: eqs. (6) and (9), less the heading in (6)."""
+    return math.atan2(direction.y, direction.x)
+
+
+@jit
+def elevation(direction: Vec) -> float:
+    """Of a direction [rad], positive up: eqs. (7) and (10)."""
+    return math.atan2(direction.z, horizontal(direction))
+
+
+@jit
+def doppler(velocity: Vec, arrival: Vec) -> float:
+    """Velocity towards where the path comes from [m/s], eq. (11)."""
+    return arrival.x * velocity.x + arrival.y * velocity.y
 
 
 @jit
@@ -27,65 +110,45 @@ def observe_source(
     """h(x, s) of eqs. (4)-(11) with A = dh/ds and B = dh/dx, for one landmark.
 
     Args:
-        ue: (4,) x [m], y [m], heading [rad], clock bias [m].
+        ue: (U,) components of the vehicle (``layout.VEHICLE``).
         speed: v [m/s].
         bs: (3,) position of the base station [m].
         ue_height: z of the vehicle's antenna [m].
         position: (3,) of the landmark [m]; ignored for the BS.
         kind: LandmarkType.
         h: (6,) to be written.
-        a: (6, 4) to be written.
+        a: (6, U) to be written.
         b: (6, 3) to be written; zero for the BS.
 
     Returns:
         Whether the geometry is degenerate (h is then finite but means nothing, A and B are zero)
         and whether the path can exist; see ``channel.Paths``.
     """
-    px, py, pz = position[0], position[1], position[2]
-    if kind == BS:
-        px, py, pz = bs[0], bs[1], bs[2]
-    dx, dy, dz = px - ue[0], py - ue[1], pz - ue_height
-    distance, ux, uy, uz = unit(dx, dy, dz)
-    # The leg from the BS: to the vehicle for the BS itself, else to the landmark.
-    if kind == BS:
-        leg, nx, ny, nz = unit(-dx, -dy, -dz)
-    else:
-        leg, nx, ny, nz = unit(px - bs[0], py - bs[1], pz - bs[2])
-    along = nx * ux + ny * uy + nz * uz
-    wx, wy, wz = nx, ny, nz
-    if kind == VA:  # n is the normal of the wall, the departure the arrival mirrored at it
-        wx, wy, wz = 2.0 * along * nx - ux, 2.0 * along * ny - uy, 2.0 * along * nz - uz
-
-    ground = math.sqrt(wx * wx + wy * wy)
-    cosine, sine = speed * math.cos(ue[2]), speed * math.sin(ue[2])
-    h[0] = distance + ue[3] + (leg if kind == SP else 0.0)
-    h[1] = wrapped(math.atan2(uy, ux) - ue[2])
-    h[2] = math.atan2(uz, math.sqrt(ux * ux + uy * uy))
-    h[3] = math.atan2(wy, wx)
-    h[4] = math.atan2(wz, ground)
-    h[5] = ux * cosine + uy * sine
+    vehicle, station = Vec(ue[X], ue[Y], ue_height), vec(bs)
+    landmark = station if kind == BS else vec(position)
+    velocity = Vec(speed * math.cos(ue[HEADING]), speed * math.sin(ue[HEADING]), 0.0)
+    legs = legs_of(vehicle, station, landmark, kind)
+    h[TOA] = toa(legs, ue[CLOCK_BIAS], kind)
+    h[AOA_AZIMUTH] = wrapped(azimuth(legs.arrival) - ue[HEADING])
+    h[AOA_ELEVATION] = elevation(legs.arrival)
+    h[AOD_AZIMUTH] = azimuth(legs.departure)
+    h[AOD_ELEVATION] = elevation(legs.departure)
+    h[DOPPLER] = doppler(velocity, legs.arrival)
     clear(a, b)
-    beneath = math.sqrt(dx * dx + dy * dy)
-    if min(distance, leg, beneath, ground) < SMALLEST_DISTANCE:
+    beneath, ground = horizontal(between(vehicle, landmark)), horizontal(legs.departure)
+    if min(legs.distance, legs.leg, beneath, ground) < SMALLEST_DISTANCE:
         return True, False
+    differentiate(legs, velocity, h[DOPPLER], kind, a, b)
+    return False, kind != VA or before_the_wall(vehicle, station, landmark, legs.outward)
 
-    arrival_rows(ux, uy, uz, distance, cosine, sine, h[5], a, b)
-    if kind == VA:
-        mirrored_rows(ux, uy, uz, distance, nx, ny, nz, leg, a, b)
-        beyond = nx * (ue[0] - 0.5 * (px + bs[0])) + ny * (ue[1] - 0.5 * (py + bs[1]))
-        beyond += nz * (ue_height - 0.5 * (pz + bs[2]))
-        # The signed distance of the vehicle from the wall, the BS being at the negative side.
-        return False, beyond < -SMALLEST_DISTANCE
-    if kind == SP:
-        b[0, 0] += nx
-        b[0, 1] += ny
-        b[0, 2] += nz
-        angle_rows(nx, ny, nz, leg, b, 3)
-        return False, True
-    for row in range(DIM):
-        b[row, 0] = b[row, 1] = b[row, 2] = 0.0
-    angle_rows(nx, ny, nz, leg, a, 3)
-    return False, True
+
+@jit
+def before_the_wall(vehicle: Vec, bs: Vec, va: Vec, normal: Vec) -> bool:
+    """Whether the vehicle is on that side of a wall on which the BS is."""
+    beyond = normal.x * (vehicle.x - 0.5 * (va.x + bs.x))
+    beyond += normal.y * (vehicle.y - 0.5 * (va.y + bs.y))
+    beyond += normal.z * (vehicle.z - 0.5 * (va.z + bs.z))
+    return beyond < -SMALLEST_DISTANCE
 
 
 @from_python
@@ -104,7 +167,7 @@ def observe_sources(
 ) -> None:
     """``observe_source`` for M landmarks: positions (M, 3), types (M,); the rest is written.
 
-    mean (M, 6), ue_jacobian (M, 6, 4), landmark_jacobian (M, 6, 3), degenerate (M,), facing (M,).
+    mean (M, 6), ue_jacobian (M, 6, U), landmark_jacobian (M, 6, 3), degenerate (M,), facing (M,).
     """
     for m in range(len(types)):
         degenerate[m], facing[m] = observe_source(
@@ -122,19 +185,11 @@ def observe_sources(
 
 @jit
 def clear(a: FloatArray, b: FloatArray) -> None:
-    """Sets A (6, 4) and B (6, 3) to zero."""
+    """Sets A (6, U) and B (6, 3) to zero."""
     for row in range(DIM):
-        a[row, 0] = a[row, 1] = a[row, 2] = a[row, 3] = 0.0
+        for k in range(a.shape[1]):
+            a[row, k] = 0.0
         b[row, 0] = b[row, 1] = b[row, 2] = 0.0
-
-
-@jit
-def unit(x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Length of a vector, then its unit vector; one of no length points along x."""
-    length = math.sqrt(x * x + y * y + z * z)
-    if length < SMALLEST_DISTANCE:
-        return length, 1.0, 0.0, 0.0
-    return length, x / length, y / length, z / length
 
 
 @jit
@@ -147,109 +202,108 @@ def wrapped(angle: float) -> float:
 def wrap_azimuths(differences: FloatArray) -> None:
     """Wraps the azimuths among innovations (M, 6)."""
     for m in range(len(differences)):
-        differences[m, 1] = wrapped(differences[m, 1])
-        differences[m, 3] = wrapped(differences[m, 3])
+        differences[m, AOA_AZIMUTH] = wrapped(differences[m, AOA_AZIMUTH])
+        differences[m, AOD_AZIMUTH] = wrapped(differences[m, AOD_AZIMUTH])
 
 
 @jit
-def angle_rows(
-    x: float, y: float, z: float, distance: float, jacobian: FloatArray, row: int
-) -> None:
-    """Derivatives of azimuth and elevation by the far end of a line.
-
-    Args:
-        x: of the unit vector along the line, not upright.
-        y: of it.
-        z: of it.
-        distance: length of the line [m].
-        jacobian: (6, 3) by a landmark, or (6, 4) by the vehicle, of which x and y are written.
-        row: of the azimuth; that of the elevation comes next.
-    """
-    ground = math.sqrt(x * x + y * y)
-    jacobian[row, 0] = -y / (ground * ground * distance)
-    jacobian[row, 1] = x / (ground * ground * distance)
-    jacobian[row + 1, 0] = -z * x / (ground * distance)
-    jacobian[row + 1, 1] = -z * y / (ground * distance)
-    if jacobian.shape[1] == 3:
-        jacobian[row + 1, 2] = ground / distance
+def azimuth_gradient(direction: Vec, distance: float) -> Vec:
+    """Derivative of an azimuth by the far end of a line of some length [m] along a direction."""
+    ground = horizontal(direction)
+    scale = ground * ground * distance
+    return Vec(-direction.y / scale, direction.x / scale, 0.0)
 
 
 @jit
-def arrival_rows(
-    x: float,
-    y: float,
-    z: float,
-    distance: float,
-    cosine: float,
-    sine: float,
-    doppler: float,
-    a: FloatArray,
-    b: FloatArray,
+def elevation_gradient(direction: Vec, distance: float) -> Vec:
+    """Derivative of an elevation by the far end of a line of some length [m] along a direction."""
+    ground = horizontal(direction)
+    scale = ground * distance
+    x, y = -direction.z * direction.x / scale, -direction.z * direction.y / scale
+    return Vec(x, y, ground / distance)
+
+
+@jit
+def put(gradient: Vec, jacobian: FloatArray, row: int) -> None:
+    """Writes a gradient by a position into a row of B (6, 3)."""
+    jacobian[row, 0], jacobian[row, 1], jacobian[row, 2] = gradient.x, gradient.y, gradient.z
+
+
+@jit
+def differentiate(
+    legs: Legs, velocity: Vec, speed_along: float, kind: int, a: FloatArray, b: FloatArray
 ) -> None:
-    """Rows of A and B for the distance, the arrival along (x, y, z) and the Doppler.
+    """A and B, which are zero so far.
 
     Args:
-        x: of the unit vector of arrival.
-        y: of it.
-        z: of it.
-        distance: to the landmark [m].
-        cosine: v cos(heading) [m/s].
-        sine: v sin(heading) [m/s].
-        doppler: [m/s].
-        a: (6, 4) to be written.
+        legs: of a path that is not degenerate.
+        velocity: v [m/s].
+        speed_along: its Doppler [m/s].
+        kind: LandmarkType.
+        a: (6, U) to be written.
         b: (6, 3) to be written.
     """
-    b[0, 0], b[0, 1], b[0, 2] = x, y, z
-    angle_rows(x, y, z, distance, b, 1)
-    b[5, 0] = (cosine - doppler * x) / distance
-    b[5, 1] = (sine - doppler * y) / distance
-    b[5, 2] = -doppler * z / distance
-    for row in range(DIM):  # those of the departure are zero so far
-        a[row, 0], a[row, 1] = -b[row, 0], -b[row, 1]
-    a[0, 3] = 1.0
-    a[1, 2] = -1.0
-    a[5, 2] = y * cosine - x * sine
+    differentiate_arrival(legs, velocity, speed_along, a, b)
+    if kind == VA:
+        differentiate_mirrored(legs, a, b)
+    elif kind == SP:
+        b[TOA, 0] += legs.outward.x
+        b[TOA, 1] += legs.outward.y
+        b[TOA, 2] += legs.outward.z
+        put(azimuth_gradient(legs.outward, legs.leg), b, AOD_AZIMUTH)
+        put(elevation_gradient(legs.outward, legs.leg), b, AOD_ELEVATION)
+    else:  # the BS does not move; its line ends at the vehicle
+        for row in range(DIM):
+            b[row, 0] = b[row, 1] = b[row, 2] = 0.0
+        by_vehicle = azimuth_gradient(legs.outward, legs.leg)
+        a[AOD_AZIMUTH, X], a[AOD_AZIMUTH, Y] = by_vehicle.x, by_vehicle.y
+        by_vehicle = elevation_gradient(legs.outward, legs.leg)
+        a[AOD_ELEVATION, X], a[AOD_ELEVATION, Y] = by_vehicle.x, by_vehicle.y
 
 
 @jit
-def mirrored_rows(
-    ux: float,
-    uy: float,
-    uz: float,
-    distance: float,
-    nx: float,
-    ny: float,
-    nz: float,
-    leg: float,
-    a: FloatArray,
-    b: FloatArray,
+def differentiate_arrival(
+    legs: Legs, velocity: Vec, speed_along: float, a: FloatArray, b: FloatArray
 ) -> None:
+    """Rows of A and B for the distance to the landmark, the arrival along u, and the Doppler.
+
+    d(v'u)/dx = (v - (v'u) u) / distance; the vehicle moves h as the landmark does, the other way.
+    """
+    u, distance = legs.arrival, legs.distance
+    put(u, b, TOA)
+    put(azimuth_gradient(u, distance), b, AOA_AZIMUTH)
+    put(elevation_gradient(u, distance), b, AOA_ELEVATION)
+    b[DOPPLER, 0] = (velocity.x - speed_along * u.x) / distance
+    b[DOPPLER, 1] = (velocity.y - speed_along * u.y) / distance
+    b[DOPPLER, 2] = -speed_along * u.z / distance
+    for row in range(DIM):  # those of the departure are zero so far
+        a[row, X], a[row, Y] = -b[row, 0], -b[row, 1]
+    a[TOA, CLOCK_BIAS] = 1.0
+    a[AOA_AZIMUTH, HEADING] = -1.0
+    a[DOPPLER, HEADING] = u.y * velocity.x - u.x * velocity.y
+
+
+@jit
+def differentiate_mirrored(legs: Legs, a: FloatArray, b: FloatArray) -> None:
     """Rows of A and B for the departure w = -(I - 2 n n') u of a VA.
 
     With r the gradient of an angle by w: r dw = (I - 2 n n') r du for the vehicle and the VA, and
     for the VA, which turns the wall, 2 ((n u) r + (r n) u - 2 (n u) (r n) n) / leg on top.
-
-    Args:
-        ux: of the unit vector of arrival.
-        uy: of it.
-        uz: of it.
-        distance: to the VA [m].
-        nx: of the wall's normal.
-        ny: of it.
-        nz: of it.
-        leg: from BS to VA [m].
-        a: (6, 4) to be written.
-        b: (6, 3) to be written.
     """
-    along = nx * ux + ny * uy + nz * uz
-    wx, wy, wz = 2.0 * along * nx - ux, 2.0 * along * ny - uy, 2.0 * along * nz - uz
-    angle_rows(wx, wy, wz, 1.0, b, 3)
-    for row in range(3, 5):
-        rx, ry, rz = b[row, 0], b[row, 1], b[row, 2]
-        across = 2.0 * (rx * nx + ry * ny + rz * nz)
-        mx, my, mz = rx - across * nx, ry - across * ny, rz - across * nz
-        a[row, 0], a[row, 1] = mx / distance, my / distance
-        # (n u) (r - 2 (r n) n) = (n u) m
-        b[row, 0] = (2.0 * along * mx + across * ux) / leg - mx / distance
-        b[row, 1] = (2.0 * along * my + across * uy) / leg - my / distance
-        b[row, 2] = (2.0 * along * mz + across * uz) / leg - mz / distance
+    differentiate_mirrored_angle(legs, azimuth_gradient(legs.departure, 1.0), AOD_AZIMUTH, a, b)
+    differentiate_mirrored_angle(legs, elevation_gradient(legs.departure, 1.0), AOD_ELEVATION, a, b)
+
+
+@jit
+def differentiate_mirrored_angle(
+    legs: Legs, r: Vec, row: int, a: FloatArray, b: FloatArray
+) -> None:
+    """The row of one of the angles of w, r being its gradient by w."""
+    u, n, distance, leg = legs.arrival, legs.outward, legs.distance, legs.leg
+    along, across = dot(n, u), 2.0 * (r.x * n.x + r.y * n.y + r.z * n.z)
+    m = Vec(r.x - across * n.x, r.y - across * n.y, r.z - across * n.z)
+    a[row, X], a[row, Y] = m.x / distance, m.y / distance
+    # (n u) (r - 2 (r n) n) = (n u) m
+    b[row, 0] = (2.0 * along * m.x + across * u.x) / leg - m.x / distance
+    b[row, 1] = (2.0 * along * m.y + across * u.y) / leg - m.y / distance
+    b[row, 2] = (2.0 * along * m.z + across * u.z) / leg - m.z / distance

@@ -8,7 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
 from dopslam_ros.core.linalg.jit import jit
-from dopslam_ros.core.models.channel_kernels import SMALLEST_DISTANCE
+from dopslam_ros.core.linalg.vec import SMALLEST_DISTANCE
 
 # Rounds that settle an elevation that was not measured, and the largest sine it may have.
 ELEVATION_ROUNDS = 10

@@ -9,6 +9,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, check_shapes, floats
 from dopslam_ros.core.models import motion_kernels as kernels
+from dopslam_ros.core.settings.layout import HEADING, X, Y
 
 
 class Control(NamedTuple):
@@ -50,27 +51,30 @@ def propagate(state: FloatArray, control: Control, duration: float) -> FloatArra
     """f of eq. (1), in the sinc form that needs no special case at omega = 0.
 
     Args:
-        state: (..., 4) x [m], y [m], heading [rad], clock bias [m]; map frame.
+        state: (..., U) components of the vehicle (``layout.VEHICLE``); map frame.
         control: speed and turn rate.
         duration: T [s].
 
     Returns:
-        (..., 4) the state after ``duration``; heading wrapped.
+        (..., U) the state after ``duration``; heading wrapped.
     """
     after = np.array(state, dtype=np.float64, order="C")
     kernels.propagate(
-        after.reshape(-1, 4), float(control.speed), float(control.turn_rate), float(duration)
+        after.reshape(-1, after.shape[-1]),
+        float(control.speed),
+        float(control.turn_rate),
+        float(duration),
     )
     return after
 
 
 def propagation_jacobian(state: FloatArray, control: Control, duration: float) -> FloatArray:
-    """F = df/ds of eq. (1), (4, 4), at ``state`` (4,)."""
+    """F = df/ds of eq. (1), (U, U), at ``state`` (U,)."""
     speed, turn_rate = float(control.speed), float(control.turn_rate)
-    dx, dy = kernels.chord(float(state[2]), speed, turn_rate, float(duration))
-    jacobian = np.eye(4)
-    jacobian[0, 2] = -dy
-    jacobian[1, 2] = dx
+    dx, dy = kernels.chord(float(state[HEADING]), speed, turn_rate, float(duration))
+    jacobian = np.eye(len(state))
+    jacobian[X, HEADING] = -dy
+    jacobian[Y, HEADING] = dx
     return jacobian
 
 
@@ -80,15 +84,17 @@ def propagate_spans(
     """The motion over several controls in a row.
 
     Args:
-        state: (4,) before.
+        state: (U,) before.
         spans: the controls, in order of time.
-        noise_rate: (4,) variance that the process noise Q adds per second.
+        noise_rate: (U,) variance that the process noise Q adds per second.
 
     Returns:
-        (4,) the state after, (4, 4) the Jacobian of the whole motion, (4, 4) its process noise.
+        (U,) the state after, (U, U) the Jacobian of the whole motion, (U, U) its process noise.
     """
-    check_shapes(state=(state, (4,)), noise_rate=(noise_rate, (4,)))
-    after, jacobian, noise = np.array(state, dtype=np.float64), np.eye(4), np.zeros((4, 4))
+    size = len(state)
+    check_shapes(state=(state, (size,)), noise_rate=(noise_rate, (size,)))
+    after, jacobian = np.array(state, dtype=np.float64), np.eye(size)
+    noise = np.zeros((size, size))
     kernels.propagate_spans(after, span_rows(spans), floats(noise_rate), jacobian, noise)
     return after, jacobian, noise
 
@@ -106,17 +112,17 @@ def predict_covariance(
 
     Args:
         covariance: (n, n) before, symmetric, the vehicle first.
-        jacobian: (4, 4) F of the motion.
-        noise: (4, 4) Q of the motion.
+        jacobian: (U, U) F of the motion.
+        noise: (U, U) Q of the motion.
 
     Returns:
         (n, n).
     """
-    size = len(covariance)
+    size, vehicle = len(covariance), len(jacobian)
     check_shapes(
-        covariance=(covariance, (max(size, 4), size)),
-        jacobian=(jacobian, (4, 4)),
-        noise=(noise, (4, 4)),
+        covariance=(covariance, (max(size, vehicle), size)),
+        jacobian=(jacobian, (vehicle, vehicle)),
+        noise=(noise, (vehicle, vehicle)),
     )
     after = np.array(covariance, dtype=np.float64, order="C")
     kernels.predict_covariance(floats(covariance), floats(jacobian), floats(noise), after)

@@ -26,7 +26,7 @@ from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.pmb.step import update
 from dopslam_ros.core.settings.filtering import gates
-from dopslam_ros.core.settings.layout import UE, LandmarkType
+from dopslam_ros.core.settings.layout import HEADING, VEHICLE, LandmarkType
 
 # Landmarks and types less likely than this are not looked for.
 LIKELY = 0.3
@@ -35,6 +35,10 @@ MOST_STARTS = 32
 MOST_POSES = 6
 # A pose known before a set only as far as this: standard deviations [m, m, rad, m].
 ANYWHERE = np.array([300.0, 300.0, 3.0, 300.0])
+# Information that holds a step of the search where the paths do not determine it, and of what no
+# path determines.
+DAMPING = {"x": 1e-6, "y": 1e-6, "heading": 1e-2, "clock_bias": 1e-8}
+HELD = 1.0
 # The vehicle is somewhere on this area [m^2].
 AREA = 1e6
 # A path departs from an SP's direction at most by so many standard deviations.
@@ -130,6 +134,7 @@ def solutions(
         known.kind,
         known.log_heard,
         np.array([parameters.sp_field_of_view]),
+        _damping(len(base.ue_mean)),
     )
     heard = kernels.Heard(
         observed.values,
@@ -140,8 +145,8 @@ def solutions(
         _possible(known, observed, parameters),
     )
     paths = len(observed.values)
-    room = paths * int(np.count_nonzero(known.kind != LandmarkType.SP))
-    poses, spreads = np.empty((room, UE)), np.empty((room, UE, UE))
+    room, vehicle = paths * int(np.count_nonzero(known.kind != LandmarkType.SP)), len(base.ue_mean)
+    poses, spreads = np.empty((room, vehicle)), np.empty((room, vehicle, vehicle))
     givens, odds = np.empty((room, paths), np.int64), np.empty(room)
     count = kernels.locate(
         world,
@@ -156,6 +161,12 @@ def solutions(
     return poses[:count], spreads[:count], odds[:count]
 
 
+def _damping(size: int) -> FloatArray:
+    """(U,) by component of the vehicle; what no path can tell stays where it is."""
+    known = [DAMPING[component.name] for component in VEHICLE]
+    return np.array(known + [HELD] * (size - len(known)))
+
+
 def distinct(poses: FloatArray, spreads: FloatArray, odds: FloatArray) -> list[int]:
     """Which of the poses differ, the likeliest first."""
     kept: list[int] = []
@@ -168,18 +179,19 @@ def distinct(poses: FloatArray, spreads: FloatArray, odds: FloatArray) -> list[i
 
 
 def same_place(one: FloatArray, other: FloatArray, covariance: FloatArray) -> bool:
-    """Whether two poses (4,) are as good as one, given the covariance of what lies between."""
+    """Whether two poses (U,) are as good as one, given the covariance of what lies between."""
     off = one - other
-    off[2] = wrap_angle(off[2])
+    off[HEADING] = wrap_angle(off[HEADING])
     return bool(off @ np.linalg.solve(covariance, off) < SAME)
 
 
 def placed(base: FilterState, pose: FloatArray, covariance: FloatArray) -> FilterState:
     """The same map with the vehicle at a pose that has nothing in common with it."""
     mean, joint = base.mean.copy(), base.covariance.copy()
-    mean[:UE] = pose
-    joint[:UE], joint[:, :UE] = 0.0, 0.0
-    joint[:UE, :UE] = covariance
+    vehicle = base.start[0]
+    mean[:vehicle] = pose
+    joint[:vehicle], joint[:, :vehicle] = 0.0, 0.0
+    joint[:vehicle, :vehicle] = covariance
     return base.but(mean=mean, covariance=joint)
 
 

@@ -10,18 +10,31 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.linalg.small import backward, cholesky, forward, log_determinant, used_places
-from dopslam_ros.core.models.channel_kernels import observe_source, unit, wrapped
+from dopslam_ros.core.linalg.vec import Vec, between, unit, vec
+from dopslam_ros.core.models.channel_kernels import mirrored, observe_source, wrapped
 from dopslam_ros.core.models.incidence import ray
-from dopslam_ros.core.settings.layout import BS, DIM, NONE, VA
+from dopslam_ros.core.settings.layout import (
+    AOA_AZIMUTH,
+    AOA_ELEVATION,
+    AOD_AZIMUTH,
+    AOD_ELEVATION,
+    BS,
+    CLOCK_BIAS,
+    DIM,
+    HEADING,
+    NONE,
+    SPACE,
+    TOA,
+    VA,
+    X,
+    Y,
+)
 
-UE = 4
 LOG_2PI = math.log(2.0 * math.pi)
 # Gauss-Newton: rounds, when a step is small enough, and the longest one [m].
 ROUNDS = 12
 SETTLED = 1e-3
 LONGEST = 100.0
-# Holds a step where the paths do not determine it: 1 / [m, m, rad, m]^2.
-DAMPING = (1e-6, 1e-6, 1e-2, 1e-8)
 # As long as fewer paths than this are explained they are added one by one.
 ONE_BY_ONE = 4
 # Then all that fit at once, so often.
@@ -43,7 +56,8 @@ class World(NamedTuple):
         covariance: (L, 3, 3) [m^2].
         kind: (L,) LandmarkType.
         log_heard: (L,) ln of the probability of a path where it is in view.
-        reach: (1,) field of view for SPs [m].
+        sp_field_of_view: (1,) [m].
+        damping: (U,) information that holds a step where the paths do not determine it.
     """
 
     bs: FloatArray
@@ -53,7 +67,8 @@ class World(NamedTuple):
     covariance: FloatArray
     kind: IntArray
     log_heard: FloatArray
-    reach: FloatArray
+    sp_field_of_view: FloatArray
+    damping: FloatArray
 
 
 class Heard(NamedTuple):
@@ -81,7 +96,7 @@ class Room(NamedTuple):
 
     Attributes:
         h: (6,).
-        a: (6, 4).
+        a: (6, U).
         b: (6, 3).
         s: (6, 6).
         v: (6,).
@@ -97,12 +112,12 @@ class Room(NamedTuple):
 
 
 @jit
-def room() -> Room:
-    """Work space."""
+def room(vehicle: int) -> Room:
+    """Work space for a vehicle of so many components."""
     return Room(
         np.empty(DIM),
-        np.empty((DIM, 4)),
-        np.empty((DIM, 3)),
+        np.empty((DIM, vehicle)),
+        np.empty((DIM, SPACE)),
         np.empty((DIM, DIM)),
         np.empty(DIM),
         np.empty(DIM, np.int64),
@@ -116,8 +131,8 @@ def compare(
     """Path j as landmark m's: v becomes L^-1 v and s its L, with S = A P A' + B C B' + R.
 
     Args:
-        pose: (4,).
-        spread: (4, 4) P of the pose.
+        pose: (U,).
+        spread: (U, U) P of the pose.
         world: of which m is a landmark.
         m: its number.
         heard: of which j is a path.
@@ -145,20 +160,20 @@ def compare(
     for k in range(count):
         c = work.place[k]
         work.v[k] = heard.values[j, c] - work.h[c]
-        if c in (1, 3):
+        if c in (AOA_AZIMUTH, AOD_AZIMUTH):
             work.v[k] = wrapped(work.v[k])
         for i in range(k + 1):
             d = work.place[i]
             total = heard.noise[j, c, d]
-            for p in range(UE):
+            for p in range(len(pose)):
                 part = 0.0
-                for q in range(UE):
+                for q in range(len(pose)):
                     part += spread[p, q] * a[d, q]
                 total += a[c, p] * part
             if m > 0:
-                for p in range(3):
+                for p in range(SPACE):
                     part = 0.0
-                    for q in range(3):
+                    for q in range(SPACE):
                         part += covariance[p, q] * b[d, q]
                     total += b[c, p] * part
             work.s[k, i] = total
@@ -190,28 +205,30 @@ def settle(
     """The pose, in place, at which the paths fit best, by Gauss-Newton.
 
     Args:
-        pose: (4,) a start.
+        pose: (U,) a start.
         bias: (2,) mean [m] and standard deviation [m] of the clock bias before.
         world: the landmarks.
         heard: the paths.
         given: (J,) landmark of each path, or NONE.
-        spread: (4, 4) result: covariance.
+        spread: (U, U) result: covariance.
         work: space.
 
     Returns:
         Sum of the squared distances, that of the bias included; inf where they do not fit at all.
     """
-    nowhere = np.zeros((UE, UE))
-    information, step, column = np.empty((UE, UE)), np.empty(UE), np.empty(DIM)
+    vehicle = len(pose)
+    nowhere, information = np.zeros((vehicle, vehicle)), np.empty((vehicle, vehicle))
+    step, column = np.empty(vehicle), np.empty(DIM)
     cost = math.inf
     for _ in range(ROUNDS):
         information.fill(0.0)
-        for i in range(UE):
-            information[i, i] = DAMPING[i]
+        for i in range(vehicle):
+            information[i, i] = world.damping[i]
             step[i] = 0.0
-        information[3, 3] += 1.0 / (bias[1] * bias[1])
-        step[3] = (bias[0] - pose[3]) / (bias[1] * bias[1])
-        cost = (bias[0] - pose[3]) * step[3]
+        information[CLOCK_BIAS, CLOCK_BIAS] += 1.0 / (bias[1] * bias[1])
+        off = bias[0] - pose[CLOCK_BIAS]
+        step[CLOCK_BIAS] = off / (bias[1] * bias[1])
+        cost = off * step[CLOCK_BIAS]
         for j in range(len(given)):
             if given[j] == NONE:
                 continue
@@ -219,75 +236,78 @@ def settle(
             if count == 0:
                 return math.inf
             cost += squared(work.v, count)
-            rows = np.empty((UE, count))
-            for p in range(UE):
+            rows = np.empty((vehicle, count))
+            for p in range(vehicle):
                 for k in range(count):
                     column[k] = work.a[work.place[k], p]
                 forward(work.s, column, count)
                 for k in range(count):
                     rows[p, k] = column[k]
-            for p in range(UE):
+            for p in range(vehicle):
                 for k in range(count):
                     step[p] += rows[p, k] * work.v[k]
                     for q in range(p + 1):
                         information[p, q] += rows[p, k] * rows[q, k]
-        if not cholesky(information, UE):
+        if not cholesky(information, vehicle):
             return math.inf
-        forward(information, step, UE)
-        backward(information, step, UE)
-        length = math.sqrt(step[0] * step[0] + step[1] * step[1])
+        forward(information, step, vehicle)
+        backward(information, step, vehicle)
+        length = math.sqrt(step[X] * step[X] + step[Y] * step[Y])
         scale = min(1.0, LONGEST / max(length, 1e-9))
-        for i in range(UE):
+        for i in range(vehicle):
             pose[i] += scale * step[i]
-        pose[2] = wrapped(pose[2])
-        if length < SETTLED and abs(step[2]) < 1e-3 * SETTLED and abs(step[3]) < SETTLED:
+        pose[HEADING] = wrapped(pose[HEADING])
+        if (
+            length < SETTLED
+            and abs(step[HEADING]) < 1e-3 * SETTLED
+            and abs(step[CLOCK_BIAS]) < SETTLED
+        ):
             break
-    for p in range(UE):
+    for p in range(vehicle):
         step.fill(0.0)
         step[p] = 1.0
-        forward(information, step, UE)
-        backward(information, step, UE)
-        for q in range(UE):
+        forward(information, step, vehicle)
+        backward(information, step, vehicle)
+        for q in range(vehicle):
             spread[q, p] = step[q]
     return cost
 
 
 @jit
 def start_from(world: World, m: int, z: FloatArray, bias: FloatArray, pose: FloatArray) -> bool:
-    """The pose (4,) at which a path z (6,) is that of the BS or a VA, or whether there is none.
+    """The pose (U,) at which a path z (6,) is that of the BS or a VA, or whether there is none.
 
     The direction of departure, mirrored at the wall, is that of arrival in the map. The distance is
     that of the delay where the clock is known, else that at which the elevation fits the height.
     """
-    if not (math.isfinite(z[1]) and math.isfinite(z[3])):
+    if not (math.isfinite(z[AOA_AZIMUTH]) and math.isfinite(z[AOD_AZIMUTH])):
         return False
-    wx, wy, wz = ray(z[3], z[4])
+    wx, wy, wz = ray(z[AOD_AZIMUTH], z[AOD_ELEVATION])
     ux, uy, uz = -wx, -wy, -wz
     place = world.position[m]
     if world.kind[m] == VA:
-        _, nx, ny, nz = unit(place[0] - world.bs[0], place[1] - world.bs[1], place[2] - world.bs[2])
-        along = 2.0 * (nx * wx + ny * wy + nz * wz)
-        ux, uy, uz = along * nx - wx, along * ny - wy, along * nz - wz
+        _, n = unit(between(vec(world.bs), vec(place)))
+        ux, uy, uz = mirrored(Vec(wx, wy, wz), n)
     rise = place[2] - world.ue_height[0]
     ground = math.sqrt(ux * ux + uy * uy)
     if ground < 1e-6:
         return False
     reach = FARTHEST
-    if math.isfinite(z[0]) and bias[1] < 0.1 * FARTHEST:
-        slant = z[0] - bias[0]
+    if math.isfinite(z[TOA]) and bias[1] < 0.1 * FARTHEST:
+        slant = z[TOA] - bias[0]
         reach = math.sqrt(max(slant * slant - rise * rise, 1.0))
     else:
         slope = uz / ground
-        if math.isfinite(z[2]):
-            slope = 0.5 * (slope + math.tan(z[2]))
+        if math.isfinite(z[AOA_ELEVATION]):
+            slope = 0.5 * (slope + math.tan(z[AOA_ELEVATION]))
         if slope * rise > 0.0:
             reach = min(rise / slope, FARTHEST)
-    pose[0] = place[0] - reach * ux / ground
-    pose[1] = place[1] - reach * uy / ground
-    pose[2] = wrapped(math.atan2(uy, ux) - z[1])
-    pose[3] = bias[0]
-    if math.isfinite(z[0]) and bias[1] >= 0.1 * FARTHEST:
-        pose[3] = z[0] - math.sqrt(reach * reach + rise * rise)
+    pose[X] = place[0] - reach * ux / ground
+    pose[Y] = place[1] - reach * uy / ground
+    pose[HEADING] = wrapped(math.atan2(uy, ux) - z[AOA_AZIMUTH])
+    pose[CLOCK_BIAS] = bias[0]
+    if math.isfinite(z[TOA]) and bias[1] >= 0.1 * FARTHEST:
+        pose[CLOCK_BIAS] = z[TOA] - math.sqrt(reach * reach + rise * rise)
     return True
 
 
@@ -304,12 +324,12 @@ def extend(
     """Gives more and more paths to landmarks, the clearest first, the pose following in place.
 
     Args:
-        pose: (4,).
+        pose: (U,).
         bias: as for ``settle``.
         world: the landmarks.
         heard: the paths.
         given: (J,) landmark of each path, or NONE; more of them afterwards.
-        spread: (4, 4) of the pose.
+        spread: (U, U) of the pose.
         work: space.
 
     Returns:
@@ -370,7 +390,7 @@ def drop_misfits(
     Returns:
         Whether any are left and the pose is settled.
     """
-    nowhere = np.zeros((UE, UE))
+    nowhere = np.zeros((len(pose), len(pose)))
     while True:
         worst, most = NONE, 1.0
         some = False
@@ -394,15 +414,12 @@ def beyond(pose: FloatArray, spread: FloatArray, world: World, m: int) -> bool:
     """Whether an SP is out of view, five standard deviations granted."""
     if world.kind[m] == BS or world.kind[m] == VA:
         return False
-    distance, _, _, _ = unit(
-        world.position[m, 0] - pose[0],
-        world.position[m, 1] - pose[1],
-        world.position[m, 2] - world.ue_height[0],
-    )
+    vehicle = Vec(pose[X], pose[Y], world.ue_height[0])
+    distance, _ = unit(between(vehicle, vec(world.position[m])))
     blur: float = (
-        spread[0, 0] + spread[1, 1] + world.covariance[m, 0, 0] + world.covariance[m, 1, 1]
+        spread[X, X] + spread[Y, Y] + world.covariance[m, 0, 0] + world.covariance[m, 1, 1]
     )
-    reach: float = world.reach[0] + 5.0 * math.sqrt(blur)
+    reach: float = world.sp_field_of_view[0] + 5.0 * math.sqrt(blur)
     return distance > reach
 
 
@@ -431,16 +448,16 @@ def total_odds(
     work: Room,
 ) -> float:
     """ln of the odds at a settled pose, integrated over the poses around (Laplace)."""
-    nowhere = np.zeros((UE, UE))
+    nowhere = np.zeros((len(pose), len(pose)))
     total = 0.0
     for j in range(len(given)):
         if given[j] != NONE:
             total += odds_of(pose, nowhere, world, given[j], heard, j, work)
     lower = spread.copy()
-    if not cholesky(lower, UE):
+    if not cholesky(lower, len(pose)):
         return -math.inf
-    away: float = (pose[3] - bias[0]) / bias[1]
-    total += 0.5 * (UE * LOG_2PI + log_determinant(lower, UE) - away * away)
+    away: float = (pose[CLOCK_BIAS] - bias[0]) / bias[1]
+    total += 0.5 * (len(pose) * LOG_2PI + log_determinant(lower, len(pose)) - away * away)
     return total
 
 
@@ -462,15 +479,15 @@ def locate(
         heard: J paths.
         bias: (2,) mean and standard deviation of the clock bias before [m].
         most: seeds that are followed.
-        poses: (N, 4) result, not in order; N is J times the number of BS and VAs at least.
-        spreads: (N, 4, 4) result.
+        poses: (N, U) result, not in order; N is J times the number of BS and VAs at least.
+        spreads: (N, U, U) result.
         givens: (N, J) result: landmark of each path, or NONE.
         odds: (N,) result: ln of the odds against nobody's, up to a constant.
 
     Returns:
         How many there are.
     """
-    work = room()
+    work = room(poses.shape[1])
     count = 0
     for m in range(len(world.kind)):
         if world.kind[m] != BS and world.kind[m] != VA:

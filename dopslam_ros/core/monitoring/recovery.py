@@ -28,7 +28,7 @@ from dopslam_ros.core.monitoring.pose_search import (
 )
 from dopslam_ros.core.pmb import Associations, FilterParameters, Mixture, MixtureStep, mixture_step
 from dopslam_ros.core.pmb.step import predict
-from dopslam_ros.core.settings.layout import BS_ID, NONE
+from dopslam_ros.core.settings.layout import BS_ID, CLOCK_BIAS, NONE
 
 # ln of the odds at which a place is beyond doubt, or not worth to be carried on.
 SURE, HOPELESS = 9.0, 30.0
@@ -222,8 +222,8 @@ def _proposed(
     """New candidates: what the set says, and where the controls say the vehicle is."""
     found: list[Candidate] = []
     base = reckoned.best
-    std = CLOCK_FACTOR * float(np.sqrt(base.ue_covariance[3, 3]))
-    clock = Clock(float(base.ue_mean[3]), max(std, CLOCK_STD))
+    std = CLOCK_FACTOR * float(np.sqrt(base.ue_covariance[CLOCK_BIAS, CLOCK_BIAS]))
+    clock = Clock(float(base.ue_mean[CLOCK_BIAS]), max(std, CLOCK_STD))
     for fix in fixes(base, measurements, speed, clock, parameters):
         outcome = MixtureStep(Mixture((fix.step.state,), np.ones(1)), fix.step.associations)
         found.append(Candidate(outcome, lost.log_nothing + fix.log_evidence))

@@ -9,7 +9,7 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.linalg.small import cholesky, forward_columns
-from dopslam_ros.core.settings.layout import UE
+from dopslam_ros.core.settings.layout import CLOCK_BIAS, HEADING, SPACE, X, Y
 
 # Standard deviation of a landmark before its first path [m]: no information, but invertible.
 DIFFUSE_STD = 1e4
@@ -35,7 +35,7 @@ def update(
     Args:
         covariance: (n, n) P, the vehicle first.
         known: (L,) ids of the landmarks in it, in the order of their blocks.
-        a: (M, 6, 4) Jacobians by the vehicle.
+        a: (M, 6, U) Jacobians by the vehicle.
         b: (M, 6, 3) by the landmarks.
         degenerate: (M,) paths without an answer, which bring nothing.
         ids: (M,) of the landmarks.
@@ -47,7 +47,7 @@ def update(
     Returns:
         Covariance and ids after it, and whether what was to be inverted was positive definite.
     """
-    count, filled = len(ids), len(known)
+    count, filled, vehicle, size = len(ids), len(known), a.shape[2], b.shape[2]
     blocks = np.empty(filled + count, np.int64)
     blocks[:filled] = known
     counted, start = np.zeros(count), np.full(count, -1)
@@ -60,11 +60,11 @@ def update(
             if place == filled:
                 blocks[filled] = ids[m]
                 filled += 1
-            start[m] = UE + 3 * place
+            start[m] = vehicle + size * place
     if not counted.any():
         return covariance, known, True
     old = len(covariance)
-    grown = np.zeros((UE + 3 * filled, UE + 3 * filled))
+    grown = np.zeros((vehicle + size * filled, vehicle + size * filled))
     grown[:old, :old] = covariance
     for i in range(old, len(grown)):
         grown[i, i] = DIFFUSE_STD**2
@@ -80,16 +80,18 @@ def read_bounds(
 
     Infinity for one that is not among those known (L,), or is not located.
     """
+    vehicle = len(covariance) - SPACE * len(known)
     for m in range(len(ids)):
         place, leb[m] = place_of(known, len(known), ids[m]), math.inf
         if place < len(known):
-            at = UE + 3 * place
+            at = vehicle + SPACE * place
             variance = covariance[at, at] + covariance[at + 1, at + 1]
             bound = math.sqrt(variance + covariance[at + 2, at + 2])
             if bound < UNLOCATED:
                 leb[m] = bound
-    peb = math.sqrt(covariance[0, 0] + covariance[1, 1])
-    return peb, math.sqrt(covariance[2, 2]), math.sqrt(covariance[3, 3])
+    peb = math.sqrt(covariance[X, X] + covariance[Y, Y])
+    heb, ceb = covariance[HEADING, HEADING], covariance[CLOCK_BIAS, CLOCK_BIAS]
+    return peb, math.sqrt(heb), math.sqrt(ceb)
 
 
 @jit
@@ -118,7 +120,7 @@ def inform(
 
     Args:
         covariance: (n, n) P, the vehicle first.
-        a: (M, 6, 4) Jacobians by the vehicle.
+        a: (M, 6, U) Jacobians by the vehicle.
         b: (M, 6, 3) by the landmarks.
         used: (1 or M, 6) components that the paths have.
         noise: (1 or M, 6, 6) R.
@@ -184,13 +186,13 @@ def whiten(
                 factor[k, i] = noise[r, k, i]
         if not used[mask, k]:
             continue
-        for i in range(UE):
+        for i in range(a.shape[2]):
             # L is lower triangular.
             by = scale * a[m, k, i]
             for j in range(i + 1):
                 rows[k, j] += by * root[i, j]
         if start >= 0:
-            for i in range(3):
+            for i in range(b.shape[2]):
                 by = scale * b[m, k, i]
                 for j in range(start + i + 1):
                     rows[k, j] += by * root[start + i, j]

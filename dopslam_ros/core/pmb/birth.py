@@ -20,14 +20,15 @@ from dopslam_ros.core.linalg.small import (
     log_determinant,
     solve_bordered,
 )
-from dopslam_ros.core.models.channel_kernels import observe_source, unit, wrapped
+from dopslam_ros.core.linalg.vec import Vec, between, unit, vec
+from dopslam_ros.core.models.channel_kernels import observe_source, wrapped
 from dopslam_ros.core.models.detection_kernels import detection_probability, distance_between
 from dopslam_ros.core.models.incidence import incidence_points, to_virtual_anchor
 from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.undetected_kernels import log_share_left
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import DIM, SP, UE, VA
+from dopslam_ros.core.settings.layout import DIM, SP, VA, X, Y
 
 GAUSS_NEWTON_STEPS = 6
 # A step of less than this many standard deviations changes nothing any more.
@@ -54,7 +55,8 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
         speed: v at the snapshot [m/s].
         constants: intensities and the height prior.
     """
-    ue, ue_covariance = density.mean[:UE].copy(), density.covariance[:UE, :UE].copy()
+    vehicle = density.start[0]
+    ue, ue_covariance = density.mean[:vehicle].copy(), density.covariance[:vehicle, :vehicle].copy()
     paths = len(observed.values)
     start, located = np.empty((paths, 3)), np.empty(paths, np.bool_)
     incidence_points(
@@ -69,10 +71,10 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
     births = Births(
         np.empty((2, paths, 3)),
         np.zeros((2, paths, 3, 3)),
-        np.zeros((2, paths, 3, 4)),
+        np.zeros((2, paths, 3, vehicle)),
         np.full((2, paths), -math.inf),
     )
-    h, a, b = np.empty(DIM), np.empty((DIM, 4)), np.empty((DIM, 3))
+    h, a, b = np.empty(DIM), np.empty((DIM, vehicle)), np.empty((DIM, 3))
     root, white, normal = np.empty((DIM, DIM)), np.empty((DIM, 4)), np.empty((4, 4))
     for t in range(2):
         kind = VA if t == 0 else SP
@@ -231,7 +233,8 @@ def linearise(
     for i in range(DIM):
         white[i, 3] = z[i] - h[i] if used[i] else 0.0
         if not used[i]:
-            a[i, 0] = a[i, 1] = a[i, 2] = a[i, 3] = 0.0
+            for k in range(a.shape[1]):
+                a[i, k] = 0.0
             b[i, 0] = b[i, 1] = b[i, 2] = 0.0
         white[i, 0], white[i, 1], white[i, 2] = b[i, 0], b[i, 1], b[i, 2]
     white[1, 3] = wrapped(white[1, 3])
@@ -239,9 +242,9 @@ def linearise(
     for i in range(DIM):
         for j in range(i + 1):
             root[i, j] = noise[i, j]
-        for k in range(4):
+        for k in range(a.shape[1]):
             projected = 0.0
-            for m in range(4):
+            for m in range(a.shape[1]):
                 projected += a[i, m] * ue_covariance[m, k]
             for j in range(i + 1):
                 root[i, j] += projected * a[j, k]
@@ -305,13 +308,13 @@ def spread_out(
             covariance[j, i] = mean
     forward_columns(root, a, len(root))
     for i in range(3):
-        for k in range(4):
+        for k in range(a.shape[1]):
             gain[i, k] = 0.0
         for n in range(DIM):
             weight = 0.0
             for j in range(3):
                 weight += covariance[i, j] * white[n, j]
-            for k in range(4):
+            for k in range(a.shape[1]):
                 gain[i, k] -= weight * a[n, k]
     variance: float = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
     return variance < LARGEST_STD * LARGEST_STD
@@ -343,7 +346,7 @@ def distance_std(
     ue: FloatArray, ue_height: float, position: FloatArray, covariance: FloatArray
 ) -> float:
     """Standard deviation [m] of the distance to a position (3,) with covariance (3, 3)."""
-    _, x, y, z = unit(position[0] - ue[0], position[1] - ue[1], position[2] - ue_height)
+    _, (x, y, z) = unit(between(Vec(ue[X], ue[Y], ue_height), vec(position)))
     variance = x * x * covariance[0, 0] + y * y * covariance[1, 1] + z * z * covariance[2, 2]
     cross = x * y * covariance[0, 1] + x * z * covariance[0, 2] + y * z * covariance[1, 2]
     return math.sqrt(max(variance + 2.0 * cross, 0.0))

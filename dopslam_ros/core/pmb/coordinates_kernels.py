@@ -8,9 +8,9 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit
-from dopslam_ros.core.models.channel_kernels import SMALLEST_DISTANCE, unit
+from dopslam_ros.core.linalg.vec import SMALLEST_DISTANCE, Vec, cross, unit, vec
 from dopslam_ros.core.pmb.density import Density
-from dopslam_ros.core.settings.layout import UE
+from dopslam_ros.core.settings.layout import SPACE
 
 # A first axis that is this upright or more needs another helper than the vertical.
 UPRIGHT = 0.9
@@ -20,22 +20,21 @@ UPRIGHT = 0.9
 def frames(offset: FloatArray, axes: FloatArray) -> None:
     """Axes (M, 3, 3) whose first columns point along offsets (M, 3), or along x for no offset."""
     for m in range(len(offset)):
-        _, ux, uy, uz = unit(offset[m, 0], offset[m, 1], offset[m, 2])
-        if abs(uz) > UPRIGHT:  # x cross first
-            _, vx, vy, vz = unit(0.0, -uz, uy)
+        _, u = unit(vec(offset[m]))
+        if abs(u.z) > UPRIGHT:  # x cross first
+            _, v = unit(Vec(0.0, -u.z, u.y))
         else:  # z cross first
-            _, vx, vy, vz = unit(-uy, ux, 0.0)
-        own = axes[m]
-        own[0, 0], own[1, 0], own[2, 0] = ux, uy, uz
-        own[0, 1], own[1, 1], own[2, 1] = vx, vy, vz
-        own[0, 2], own[1, 2], own[2, 2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            _, v = unit(Vec(-u.y, u.x, 0.0))
+        w = cross(u, v)
+        for i in range(SPACE):
+            axes[m, i, 0], axes[m, i, 1], axes[m, i, 2] = u[i], v[i], w[i]
 
 
 @jit
 def place(origin: FloatArray, axes: FloatArray, q: FloatArray, position: FloatArray) -> None:
     """Writes the position (3,) of the landmark q (3,) in the frame origin (3,), axes (3, 3)."""
     reach = q[0] / math.sqrt(1.0 + q[1] * q[1] + q[2] * q[2])
-    for i in range(3):
+    for i in range(SPACE):
         position[i] = origin[i] + reach * (axes[i, 0] + axes[i, 1] * q[1] + axes[i, 2] * q[2])
 
 
@@ -73,7 +72,7 @@ def place_jacobian(axes: FloatArray, q: FloatArray, jacobian: FloatArray) -> Non
     length = math.sqrt(1.0 + q[1] * q[1] + q[2] * q[2])
     reach = q[0] / length
     r1, r2 = q[1] / length, q[2] / length
-    for i in range(3):
+    for i in range(SPACE):
         along = (axes[i, 0] + axes[i, 1] * q[1] + axes[i, 2] * q[2]) / length
         jacobian[i, 0] = along
         jacobian[i, 1] = reach * (axes[i, 1] - along * r1)
@@ -117,8 +116,8 @@ def components_in_space(density: Density) -> tuple[FloatArray, FloatArray]:
     position, spread = np.empty((count, 3)), np.empty((count, 3, 3))
     jacobian = np.empty((3, 3))
     for c in range(count):
-        at = UE + 3 * c
-        q = density.mean[at : at + 3]
+        at = density.start[c]
+        q = density.mean[at : density.start[c + 1]]
         place(density.origin[c], density.axes[c], q, position[c])
         place_jacobian(density.axes[c], q, jacobian)
         transform(jacobian, density.covariance, at, spread[c])
@@ -128,11 +127,11 @@ def components_in_space(density: Density) -> tuple[FloatArray, FloatArray]:
 @jit
 def transform(jacobian: FloatArray, covariance: FloatArray, at: int, spread: FloatArray) -> None:
     """Writes J P J' into spread (3, 3), P the block of a covariance that begins at an index."""
-    for i in range(3):
+    for i in range(SPACE):
         for j in range(i + 1):
             total = 0.0
-            for k in range(3):
-                for m in range(3):
+            for k in range(SPACE):
+                for m in range(SPACE):
                     total += jacobian[i, k] * covariance[at + k, at + m] * jacobian[j, m]
             spread[i, j] = total
             spread[j, i] = total

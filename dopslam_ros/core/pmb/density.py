@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import from_python
-from dopslam_ros.core.settings.layout import LANDMARK_SIZES
+from dopslam_ros.core.linalg.jit import from_python, jit
+from dopslam_ros.core.settings.layout import ALIKE, LANDMARK_SIZES, LARGEST_LANDMARK, Components
 
 
 class Undetected(NamedTuple):
@@ -55,6 +55,7 @@ class Density(NamedTuple):
     Attributes:
         mean: (n,) the vehicle's components (``layout.VEHICLE``), then q of the landmarks'.
         covariance: (n, n).
+        vehicle: which of the vehicle's components are angles; its length is their number.
         start: (C + 1,) where the block of each component begins in the joint vector; the vehicle's
             is before the first one, the last entry is n.
         origin: (C, 3) where the frames of the components are [m].
@@ -70,6 +71,7 @@ class Density(NamedTuple):
 
     mean: FloatArray
     covariance: FloatArray
+    vehicle: Components
     start: IntArray
     origin: FloatArray
     axes: FloatArray
@@ -95,3 +97,20 @@ def block_starts(vehicle: int, types: IntArray) -> IntArray:
     for c in range(len(types)):
         start[c + 1] = start[c] + LANDMARK_SIZES[types[c]]
     return start
+
+
+@jit
+def block_of(start: IntArray, source: int) -> tuple[int, int]:
+    """First index and size of the block of source m, component m - 1; of source 0, the BS, no use."""
+    first = start[source - 1]
+    return first, LARGEST_LANDMARK if ALIKE else start[source] - first
+
+
+@jit
+def blocks_of(start: IntArray) -> IntArray:
+    """(n,) to which block each number of the joint vector belongs: 0 the vehicle's, m of source m."""
+    block = np.zeros(start[-1], np.int64)
+    for c in range(len(start) - 1):
+        for i in range(start[c], start[c + 1]):
+            block[i] = c + 1
+    return block

@@ -40,10 +40,10 @@ def log_of(value: float, least: float) -> float:
 
 
 @jit_inline
-def weigh_locally(
+def local_weights(
     density: Density,
     observed: Observed,
-    evidence: Likelihoods,
+    likelihoods: Likelihoods,
     births: Births,
     constants: Constants,
 ) -> LocalWeights:
@@ -52,8 +52,8 @@ def weigh_locally(
     The BS exists and is of one type.
     """
     component_track, type_weight = density.component_track, density.component_weight
-    existence, detection, least = density.existence, evidence.detection, LOG_TINY
-    log_likelihood, log_births = evidence.log_likelihood, births.log_intensity
+    existence, detection, least = density.existence, likelihoods.detection, LOG_TINY
+    log_likelihood, log_births = likelihoods.log_likelihood, births.log_intensity
     sources, paths = log_likelihood.shape
     source, track = np.empty((sources, paths)), np.empty((len(existence) + 1, paths))
     missed, new = np.zeros(len(track)), np.empty(paths)

@@ -19,14 +19,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from dopslam_ros.core.linalg.arrays import FloatArray, IntArray, block_indices, symmetrise
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray, symmetrise
 from dopslam_ros.core.pmb import inactive_kernels as kernels
 from dopslam_ros.core.pmb.coordinates_kernels import in_space
 from dopslam_ros.core.pmb.inactive_grid import InactiveLandmarks
 from dopslam_ros.core.pmb.inactive_kernels import MARGIN, left_behind
 from dopslam_ros.core.pmb.state import FilterState
 from dopslam_ros.core.settings.filtering import FilterParameters
-from dopslam_ros.core.settings.layout import UE, LandmarkType
+from dopslam_ros.core.settings.layout import LandmarkType, X, Y
 
 # Only virtual anchors that surely are what they are carry others.
 SURE = 0.999
@@ -92,7 +92,7 @@ def in_space_now(
 
 def _blur(state: FilterState) -> float:
     """How far the vehicle may be from where it seems to be [m]."""
-    return MARGIN * math.sqrt(state.covariance[0, 0] + state.covariance[1, 1])
+    return MARGIN * math.sqrt(state.covariance[X, X] + state.covariance[Y, Y])
 
 
 def _cell_size(parameters: FilterParameters) -> float:
@@ -111,14 +111,15 @@ def _inactive_landmarks(
     """Components, the only ones of their tracks, as they are put aside."""
     anchors = _anchors(state)
     count = len(components)
-    index = block_indices(UE, anchors, 3).ravel()
-    own = block_indices(UE, components, 3).ravel()
+    index, own = state.columns(anchors), state.columns(components)
     cross = state.covariance[own][:, index]
     within = state.covariance[np.ix_(index, index)]
     # In memory as a file gives it back: products round otherwise in another order.
     gain = np.ascontiguousarray(np.linalg.solve(within, cross.T).T, np.float64)
-    covariance = state.placement_covariances[components]
-    explained = gain.reshape(count, 3, -1) @ np.swapaxes(cross.reshape(count, 3, -1), 1, 2)
+    own = own.reshape(count, -1)
+    covariance = state.covariance[own[:, :, None], own[:, None, :]]
+    size = own.shape[1]
+    explained = gain.reshape(count, size, -1) @ np.swapaxes(cross.reshape(count, size, -1), 1, 2)
     track = state.component_track[components]
     return InactiveLandmarks(
         track_id=state.track_id[track],
@@ -127,10 +128,10 @@ def _inactive_landmarks(
         position=state.positions[components],
         origin=state.origin[components],
         axes=state.axes[components],
-        q=state.placements[components],
+        q=state.mean[own],
         covariance=covariance,
         anchors=np.tile(state.track_id[state.component_track[anchors]], (count, 1)),
         anchor_q=np.tile(state.mean[index], (count, 1)),
-        gain=gain.reshape(count, 3, -1),
+        gain=gain.reshape(count, size, -1),
         residual=symmetrise(covariance - explained),
     )

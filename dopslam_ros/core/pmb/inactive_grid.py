@@ -13,6 +13,7 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.pmb import inactive_kernels as kernels
 from dopslam_ros.core.pmb.density import Regressions
+from dopslam_ros.core.settings.layout import LANDMARK_SIZES, VA
 
 CellIndex = tuple[int, int]
 
@@ -65,15 +66,15 @@ class InactiveLandmarks:
 
     def hanging_on(self, count: int) -> InactiveLandmarks:
         """The same with room for ``count`` anchors."""
-        more = count - self.anchors.shape[1]
+        more, size = count - self.anchors.shape[1], LANDMARK_SIZES[VA]
         if more <= 0:
             return self
         return InactiveLandmarks(
             **{
                 **{part.name: getattr(self, part.name) for part in fields(self)},
                 "anchors": np.pad(self.anchors, [(0, 0), (0, more)]),
-                "anchor_q": np.pad(self.anchor_q, [(0, 0), (0, 3 * more)]),
-                "gain": np.pad(self.gain, [(0, 0), (0, 0), (0, 3 * more)]),
+                "anchor_q": np.pad(self.anchor_q, [(0, 0), (0, size * more)]),
+                "gain": np.pad(self.gain, [(0, 0), (0, 0), (0, size * more)]),
             }
         )
 

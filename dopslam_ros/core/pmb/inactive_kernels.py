@@ -10,7 +10,7 @@ from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
 from dopslam_ros.core.pmb.density import Density, Regressions
-from dopslam_ros.core.settings.layout import NONE, SP, UE, VA
+from dopslam_ros.core.settings.layout import LANDMARK_SIZES, NONE, SP, VA, X, Y
 
 # Standard deviations beyond the field of view at which a detection is out of the question.
 MARGIN = 5.0
@@ -44,12 +44,12 @@ def left_behind(density: Density, view: float) -> tuple[FloatArray, BoolArray]:
     component_track, component_type = density.component_track, density.component_type
     reach = np.empty(len(component_track))
     leaving = np.full(len(density.track_id), True)
-    blur = MARGIN * math.sqrt(covariance[0, 0] + covariance[1, 1])
+    blur = MARGIN * math.sqrt(covariance[X, X] + covariance[Y, Y])
     position, spread = components_in_space(density)
     for c in range(len(component_track)):
         variance = spread[c, 0, 0] + spread[c, 1, 1] + spread[c, 2, 2]
         reach[c] = view + MARGIN * math.sqrt(max(variance, 0.0))
-        distance = math.hypot(position[c, 0] - mean[0], position[c, 1] - mean[1])
+        distance = math.hypot(position[c, 0] - mean[X], position[c, 1] - mean[Y])
         if component_type[c] != SP or distance <= reach[c] + blur + HYSTERESIS * view:
             leaving[component_track[c]] = False
     return reach, leaving
@@ -74,12 +74,13 @@ def as_of_now(density: Density, hanging: Regressions) -> tuple[FloatArray, Float
     """
     q, n = hanging.q, len(density.mean)
     places, spreads = np.empty_like(q), np.empty_like(hanging.residual)
-    rows, cross = np.empty((3, n)), np.empty((3, n))
+    size = q.shape[1]
+    rows, cross = np.empty((size, n)), np.empty((size, n))
     for s in range(len(q)):
         hangs = regress(density, hanging, s, rows, places[s])
         own = hanging.residual[s] if hangs else hanging.covariance[s]
         multiply(rows, density.covariance, cross)
-        for i in range(3):
+        for i in range(size):
             for j in range(i + 1):
                 spreads[s, i, j] = own[i, j] + inner(cross[i], rows[j])
                 spreads[s, j, i] = spreads[s, i, j]
@@ -89,7 +90,8 @@ def as_of_now(density: Density, hanging: Regressions) -> tuple[FloatArray, Float
 @from_python
 def reactivated(density: Density, hanging: Regressions) -> tuple[FloatArray, FloatArray]:
     """Mean (n + 3 N,) and covariance of the joint vector with N inactive landmarks appended."""
-    n, size = len(density.mean), len(density.mean) + 3 * len(hanging.q)
+    n, block = len(density.mean), hanging.q.shape[1]
+    size = n + block * len(hanging.q)
     mean, joint = np.empty(size), np.empty((size, size))
     for i in range(n):
         mean[i] = density.mean[i]
@@ -97,11 +99,12 @@ def reactivated(density: Density, hanging: Regressions) -> tuple[FloatArray, Flo
             joint[i, j] = density.covariance[i, j]
     rows, cross = np.empty((size - n, n)), np.empty((size - n, n))
     for s in range(len(hanging.q)):
-        at = n + 3 * s
-        hangs = regress(density, hanging, s, rows[at - n : at - n + 3], mean[at : at + 3])
+        at = n + block * s
+        depends = rows[at - n : at - n + block]
+        hangs = regress(density, hanging, s, depends, mean[at : at + block])
         own = hanging.residual[s] if hangs else hanging.covariance[s]
-        for i in range(3):
-            for j in range(3):
+        for i in range(block):
+            for j in range(block):
                 joint[at + i, at + j] = own[i, j]
     multiply(rows, density.covariance, cross)
     for i in range(n, size):
@@ -109,7 +112,7 @@ def reactivated(density: Density, hanging: Regressions) -> tuple[FloatArray, Flo
             joint[i, j] = cross[i - n, j]
             joint[j, i] = cross[i - n, j]
         for j in range(n, i + 1):
-            within = joint[i, j] if (j - n) // 3 == (i - n) // 3 else 0.0
+            within = joint[i, j] if (j - n) // block == (i - n) // block else 0.0
             joint[i, j] = within + inner(cross[i - n], rows[j - n])
             joint[j, i] = joint[i, j]
     return mean, joint
@@ -125,14 +128,15 @@ def regress(
         density: as it is now.
         hanging: of all inactive_landmarks.
         s: which of them.
-        rows: (3, n) result: dq / d joint vector.
-        place: (3,) result: q now.
+        rows: (L, n) result: dq / d joint vector.
+        place: (L,) result: q now.
 
     Returns:
         Whether all its anchors are there.
     """
+    own, size = len(place), LANDMARK_SIZES[VA]
     rows.fill(0.0)
-    for i in range(3):
+    for i in range(own):
         place[i] = hanging.q[s, i]
     for k in range(hanging.anchors.shape[1]):
         if hanging.anchors[s, k] <= 0:  # a place that is not used
@@ -140,14 +144,14 @@ def regress(
         column = column_of(density, hanging.anchors[s, k])
         if column == NONE:
             rows.fill(0.0)
-            for i in range(3):
+            for i in range(own):
                 place[i] = hanging.q[s, i]
             return False
-        for i in range(3):
-            for j in range(3):
-                by = hanging.gain[s, i, 3 * k + j]
+        for i in range(own):
+            for j in range(size):
+                by = hanging.gain[s, i, size * k + j]
                 rows[i, column + j] += by
-                place[i] += by * (density.mean[column + j] - hanging.anchor_q[s, 3 * k + j])
+                place[i] += by * (density.mean[column + j] - hanging.anchor_q[s, size * k + j])
     return True
 
 
@@ -157,7 +161,7 @@ def column_of(density: Density, anchor: int) -> int:
     for c in range(len(density.component_type)):
         if density.component_type[c] == VA:
             if density.track_id[density.component_track[c]] == anchor:
-                return UE + 3 * c
+                return int(density.start[c])
     return NONE
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dopslam_ros.core.pmb.merge import uncouple
 from dopslam_ros.core.pmb.state import FilterState
 from dopslam_ros.core.settings.filtering import FilterParameters
-from dopslam_ros.core.settings.layout import UE
 
 
 def map_of(state: FilterState) -> FilterState:
     """The same map with no vehicle: its mean, covariance and correlation with the map are zero."""
-    mean, covariance = state.mean.copy(), state.covariance.copy()
-    mean[:UE] = 0.0
-    covariance[:UE] = covariance[:, :UE] = 0.0
+    mean, covariance, vehicle = state.mean.copy(), state.covariance.copy(), state.start[0]
+    mean[:vehicle] = 0.0
+    covariance[:vehicle] = covariance[:, :vehicle] = 0.0
     return state.but(mean=mean, covariance=covariance)
 
 
@@ -25,8 +24,9 @@ def with_map(state: FilterState, known: FilterState, parameters: FilterParameter
         parameters: with ``coupling: marginal`` those are dropped too.
     """
     bare = map_of(known)
-    bare.mean[:UE] = state.ue_mean
-    bare.covariance[:UE, :UE] = state.ue_covariance
+    vehicle = bare.start[0]
+    bare.mean[:vehicle] = state.ue_mean
+    bare.covariance[:vehicle, :vehicle] = state.ue_covariance
     if parameters.coupling == "marginal":
-        uncouple(bare.covariance)
+        uncouple(bare.covariance, bare.start)
     return bare

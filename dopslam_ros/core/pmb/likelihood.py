@@ -1,4 +1,4 @@
-"""How well every path fits every source."""
+"""Local likelihoods: how well every path fits every source."""
 
 from __future__ import annotations
 
@@ -10,15 +10,74 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
 from dopslam_ros.core.linalg.small import cholesky, forward, log_determinant, used_places
-from dopslam_ros.core.models.channel_kernels import observe_source, unit, wrapped
+from dopslam_ros.core.linalg.vec import Vec, between, unit, vec
+from dopslam_ros.core.models.channel_kernels import observe_source, wrapped
 from dopslam_ros.core.models.detection_kernels import detection_probability
 from dopslam_ros.core.pmb.coordinates_kernels import place, place_jacobian
-from dopslam_ros.core.pmb.density import Density
+from dopslam_ros.core.pmb.density import Density, block_of
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import AZIMUTHS, BS, DIM, UE
+from dopslam_ros.core.settings.layout import (
+    AOA_AZIMUTH,
+    AOD_AZIMUTH,
+    BS,
+    BS_ID,
+    DIM,
+    LARGEST_LANDMARK,
+    SPACE,
+    X,
+    Y,
+)
 
 LOG_2PI = math.log(2.0 * math.pi)
-ARRIVAL, DEPARTURE = AZIMUTHS
+
+
+class Observed(NamedTuple):
+    """A measurement set prepared for linear algebra.
+
+    Components that were not measured, or are not used, get a zero innovation, zero Jacobian rows
+    and unit variance: they drop out of every density without a special case.
+
+    Attributes:
+        values: (J, 6), NaN where not measured or not used.
+        used: (J, 6) which components count.
+        noise: (J, 6, 6) covariance R, unit where not used.
+    """
+
+    values: FloatArray
+    used: BoolArray
+    noise: FloatArray
+
+
+class Likelihoods(NamedTuple):
+    """Each path against the BS (source 0) and the components (sources 1 ... C).
+
+    Attributes:
+        ue_jacobian: (C + 1, 6, U) A = dh/ds, U components of the vehicle.
+        landmark_jacobian: (C + 1, 6, L) B = dh/dq, zero for the BS; L is the largest block of a landmark.
+        detection: (C + 1,) p_D.
+        innovation: (C + 1, J, 6) z - h, zero where not used.
+        log_likelihood: (C + 1, J) ln N(z; h, S); -inf outside the gate.
+    """
+
+    ue_jacobian: FloatArray
+    landmark_jacobian: FloatArray
+    detection: FloatArray
+    innovation: FloatArray
+    log_likelihood: FloatArray
+
+
+class Expected(NamedTuple):
+    """What would be heard of each source, and how sure that is.
+
+    Attributes:
+        h: (C + 1, 6).
+        covariance: (C + 1, 6, 6) of h, from what is uncertain in the state.
+        degenerate: (C + 1,) nothing can be said.
+    """
+
+    h: FloatArray
+    covariance: FloatArray
+    degenerate: BoolArray
 
 
 @from_python
@@ -56,10 +115,10 @@ def prepare(
 
 
 @jit_inline
-def weigh(
+def local_likelihoods(
     density: Density, observed: Observed, speed: float, constants: Constants
 ) -> tuple[Likelihoods, bool]:
-    """Local likelihoods N(z_j; h_i, S_i) with S = A P A' + B P B' + cross terms + R.
+    """N(z_j; h_i, S_i) with S = A P A' + B P B' + cross terms + R.
 
     Args:
         density: predicted.
@@ -68,187 +127,163 @@ def weigh(
         constants: gate, p_D and noise.
 
     Returns:
-        The evidence, and whether all covariances were positive definite.
+        The likelihoods, and whether all covariances were positive definite.
     """
-    sources, paths = len(density.component_type) + 1, len(observed.values)
-    evidence = Likelihoods(
-        np.empty((sources, DIM, UE)),
-        np.empty((sources, DIM, 3)),
+    sources, paths = len(density.start), len(observed.values)
+    likelihoods = Likelihoods(
+        np.empty((sources, DIM, density.start[0])),
+        np.empty((sources, DIM, LARGEST_LANDMARK)),
         np.empty(sources),
         np.empty((sources, paths, DIM)),
         np.empty((sources, paths)),
     )
-    expected, projected = np.empty((sources, DIM)), np.empty((sources, DIM, DIM))
-    degenerate = np.empty(sources, np.bool_)
-    look_at_sources(density, speed, constants, evidence, expected, degenerate, projected)
-    sound = log_likelihoods(
-        projected,
-        expected,
-        degenerate,
-        observed,
-        constants.gates,
-        evidence.innovation,
-        evidence.log_likelihood,
+    expected = Expected(
+        np.empty((sources, DIM)), np.empty((sources, DIM, DIM)), np.empty(sources, np.bool_)
     )
-    return evidence, sound
+    expect_sources(density, speed, constants, likelihoods, expected)
+    definite = weigh_pairs(expected, observed, constants.gates, likelihoods)
+    return likelihoods, definite
 
 
 @jit_inline
-def look_at_sources(
+def expect_sources(
     density: Density,
     speed: float,
     constants: Constants,
-    evidence: Likelihoods,
-    expected: FloatArray,
-    degenerate: BoolArray,
-    projected: FloatArray,
+    likelihoods: Likelihoods,
+    expected: Expected,
 ) -> None:
-    """What would be heard of the BS (source 0) and of the components, and how sure that is.
+    """h, A, B and p_D of the BS (source 0) and of the components; the results are written.
 
     Args:
         density: predicted.
         speed: v [m/s].
         constants: where the BS is, what is visible.
-        evidence: result: Jacobians and p_D.
-        expected: (C + 1, 6) result: h.
-        degenerate: (C + 1,) result: nothing can be said.
-        projected: (C + 1, 6, 6) result: covariance of h.
+        likelihoods: result: Jacobians and p_D.
+        expected: result.
     """
-    mean, covariance, bs = density.mean, density.covariance, constants.bs
-    a, b, detection = evidence.ue_jacobian, evidence.landmark_jacobian, evidence.detection
-    origin, axes, component_type = density.origin, density.axes, density.component_type
-    ue_height = constants.ue_height
+    mean, vehicle, bs = density.mean, density.start[0], constants.bs
+    a, b, detection = (
+        likelihoods.ue_jacobian,
+        likelihoods.landmark_jacobian,
+        likelihoods.detection,
+    )
     position = bs.copy()
-    to_position = np.zeros((3, 3))
-    by_position = np.empty((DIM, 3))
-    by_vehicle, by_placement = np.zeros((1, 1, UE)), np.zeros((1, 1, 3))
-    blur = np.empty((1, 1))
-    for m in range(len(component_type) + 1):
+    to_position, by_position = np.zeros((SPACE, b.shape[2])), np.empty((DIM, SPACE))
+    by_vehicle, by_landmark = np.zeros((1, 1, vehicle)), np.zeros((1, 1, b.shape[2]))
+    variance = np.empty((1, 1))
+    for m in range(len(density.start)):
         kind = BS
         if m > 0:
-            kind = component_type[m - 1]
-            q = mean[UE + 3 * (m - 1) : UE + 3 * m]
-            place(origin[m - 1], axes[m - 1], q, position)
-            place_jacobian(axes[m - 1], q, to_position)
-        degenerate[m], _ = observe_source(
-            mean[:UE], speed, bs, ue_height, position, kind, expected[m], a[m], by_position
+            kind = density.component_type[m - 1]
+            q = mean[density.start[m - 1] : density.start[m]]
+            place(density.origin[m - 1], density.axes[m - 1], q, position)
+            place_jacobian(density.axes[m - 1], q, to_position)
+        expected.degenerate[m], _ = observe_source(
+            mean[:vehicle],
+            speed,
+            bs,
+            constants.ue_height,
+            position,
+            kind,
+            expected.h[m],
+            a[m],
+            by_position,
         )
         for k in range(DIM):
-            for j in range(3):
+            for j in range(b.shape[2]):
                 b[m, k, j] = 0.0
-                for i in range(3):
+                for i in range(SPACE):
                     b[m, k, j] += by_position[k, i] * to_position[i, j]
-        project_one(a[m], b[m], m, covariance, projected[m])
-        if degenerate[m]:
+        covariance_of(a[m], b[m], m, density, expected.covariance[m])
+        if expected.degenerate[m]:
             detection[m] = 0.0
             continue
-        distance, ux, uy, uz = unit(
-            position[0] - mean[0], position[1] - mean[1], position[2] - ue_height
-        )
-        by_vehicle[0, 0, 0], by_vehicle[0, 0, 1] = -ux, -uy
-        for j in range(3):
-            by_placement[0, 0, j] = (
-                ux * to_position[0, j] + uy * to_position[1, j] + uz * to_position[2, j]
+        distance, u = unit(between(Vec(mean[X], mean[Y], constants.ue_height), vec(position)))
+        by_vehicle[0, 0, X], by_vehicle[0, 0, Y] = -u.x, -u.y
+        for j in range(b.shape[2]):
+            by_landmark[0, 0, j] = (
+                u.x * to_position[0, j] + u.y * to_position[1, j] + u.z * to_position[2, j]
             )
-        project_one(by_vehicle[0], by_placement[0], m, covariance, blur)
-        spread = math.sqrt(max(blur[0, 0], 0.0))
+        covariance_of(by_vehicle[0], by_landmark[0], m, density, variance)
+        std = math.sqrt(max(variance[0, 0], 0.0))
         detection[m] = detection_probability(
-            kind, distance, spread, constants.detection_probability, constants.sp_field_of_view
+            kind, distance, std, constants.detection_probability, constants.sp_field_of_view
         )
 
 
 @jit
-def project_one(
-    a: FloatArray, b: FloatArray, source: int, covariance: FloatArray, projected: FloatArray
+def covariance_of(
+    a: FloatArray, b: FloatArray, source: int, density: Density, result: FloatArray
 ) -> None:
-    """Covariance of h from what is uncertain in the state: A P A' + B P B' + cross terms.
+    """A P A' + B P B' + cross terms: the covariance of what depends on vehicle and a source.
 
     Args:
-        a: (d, 4) Jacobian by the vehicle.
-        b: (d, 3) by the placement of the source, which is block source - 1; not used for source 0.
-        source: its number.
-        covariance: of the joint vector.
-        projected: (d, d) result.
+        a: (d, U) Jacobian by the vehicle.
+        b: (d, L) by the source's own block; not used for source 0.
+        source: 0 the BS, m component m - 1.
+        density: of which P is the covariance.
+        result: (d, d).
     """
-    dim = a.shape[0]
-    column = UE + 3 * (source - 1)
-    width = UE if source == 0 else UE + 3
-    row = np.empty(UE + 3)
-    for k in range(dim):
-        for j in range(width):
-            at = j if j < UE else column + j - UE
+    covariance, vehicle = density.covariance, len(density.vehicle)
+    first, size = block_of(density.start, source)
+    row = np.empty(vehicle + b.shape[1])
+    for k in range(a.shape[0]):
+        for j in range(vehicle if source == BS_ID else vehicle + size):
+            at = j if j < vehicle else first + j - vehicle
             total = 0.0
-            for i in range(UE):
+            for i in range(vehicle):
                 total += a[k, i] * covariance[i, at]
-            if source > 0:
-                for i in range(3):
-                    total += b[k, i] * covariance[column + i, at]
+            if source != BS_ID:
+                for i in range(size):
+                    total += b[k, i] * covariance[first + i, at]
             row[j] = total
         for other in range(k + 1):
             total = 0.0
-            for j in range(UE):
+            for j in range(vehicle):
                 total += row[j] * a[other, j]
-            if source > 0:
-                for j in range(3):
-                    total += row[UE + j] * b[other, j]
-            projected[k, other] = total
-            projected[other, k] = total
+            if source != BS_ID:
+                for j in range(size):
+                    total += row[vehicle + j] * b[other, j]
+            result[k, other] = total
+            result[other, k] = total
 
 
 @jit
-def log_likelihoods(
-    projected: FloatArray,
-    expected: FloatArray,
-    degenerate: BoolArray,
-    observed: Observed,
-    gates: FloatArray,
-    innovation: FloatArray,
-    log_likelihood: FloatArray,
+def weigh_pairs(
+    expected: Expected, observed: Observed, gates: FloatArray, likelihoods: Likelihoods
 ) -> bool:
     """ln N(z_j; h_m, S_m + R_j) of all pairs over the components that count.
 
     Args:
-        projected: (M, 6, 6) covariance of h.
-        expected: (M, 6) h.
-        degenerate: (M,) sources of which nothing can be said.
+        expected: of M sources.
         observed: J paths.
         gates: (7,) largest squared distance by the number of components.
-        innovation: (M, J, 6) result: z - h, azimuths wrapped, zero where it does not count.
-        log_likelihood: (M, J) result, -inf outside the gate.
+        likelihoods: result: innovations, azimuths wrapped, and log-likelihoods.
 
     Returns:
         Whether all covariances were positive definite.
     """
-    values, used, noise = observed.values, observed.used, observed.noise
-    sound = True
-    s = np.empty((DIM, DIM))
-    v = np.empty(DIM)
-    places = np.empty(DIM, np.int64)
-    for j in range(values.shape[0]):
-        count = used_places(used[j], places)
+    used, noise, degenerate = observed.used, observed.noise, expected.degenerate
+    covariance, innovation = expected.covariance, likelihoods.innovation
+    log_likelihood = likelihoods.log_likelihood
+    definite = True
+    s, v, component = np.empty((DIM, DIM)), np.empty(DIM), np.empty(DIM, np.int64)
+    for j in range(len(used)):
+        count = used_places(used[j], component)
         gate = gates[count]
-        for m in range(expected.shape[0]):
+        for m in range(len(degenerate)):
             log_likelihood[m, j] = -np.inf
-            outside = degenerate[m]
-            for c in range(DIM):
-                difference = 0.0
-                if used[j, c]:
-                    difference = values[j, c] - expected[m, c]
-                    if c in (ARRIVAL, DEPARTURE):
-                        difference = wrapped(difference)
-                    # The distance in one component is never larger than that in all.
-                    variance = projected[m, c, c] + noise[j, c, c]
-                    if difference * difference > gate * variance:
-                        outside = True
-                innovation[m, j, c] = difference
-            if outside:
+            inside = innovate(expected, observed, m, j, gate, innovation)
+            if not inside or degenerate[m]:
                 continue
             for k in range(count):
-                v[k] = innovation[m, j, places[k]]
+                c = component[k]
+                v[k] = innovation[m, j, c]
                 for i in range(k + 1):
-                    s[k, i] = projected[m, places[k], places[i]] + noise[j, places[k], places[i]]
+                    s[k, i] = covariance[m, c, component[i]] + noise[j, c, component[i]]
             if not cholesky(s, count):
-                sound = False
+                definite = False
                 continue
             forward(s, v, count)
             distance = 0.0
@@ -257,39 +292,28 @@ def log_likelihoods(
             if distance <= gate:
                 constant = count * LOG_2PI + log_determinant(s, count)
                 log_likelihood[m, j] = -0.5 * (distance + constant)
-    return sound
+    return definite
 
 
-class Observed(NamedTuple):
-    """A measurement set prepared for linear algebra.
+@jit_inline
+def innovate(
+    expected: Expected, observed: Observed, m: int, j: int, gate: float, innovation: FloatArray
+) -> bool:
+    """z - h of a pair into innovation[m, j]; whether each component alone is inside the gate.
 
-    Components that were not measured, or are not used, get a zero innovation, zero Jacobian rows
-    and unit variance: they drop out of every density without a special case.
-
-    Attributes:
-        values: (J, 6), NaN where not measured or not used.
-        used: (J, 6) which components count.
-        noise: (J, 6, 6) covariance R, unit where not used.
+    The distance in one component is never larger than that in all.
     """
-
-    values: FloatArray
-    used: BoolArray
-    noise: FloatArray
-
-
-class Likelihoods(NamedTuple):
-    """Each path against the BS (source 0) and the components (sources 1 ... C).
-
-    Attributes:
-        ue_jacobian: (C + 1, 6, 4) A = dh/ds.
-        landmark_jacobian: (C + 1, 6, 3) B = dh/dq, zero for the BS.
-        detection: (C + 1,) p_D.
-        innovation: (C + 1, J, 6) z - h, zero where not used.
-        log_likelihood: (C + 1, J) ln N(z; h, S); -inf outside the gate.
-    """
-
-    ue_jacobian: FloatArray
-    landmark_jacobian: FloatArray
-    detection: FloatArray
-    innovation: FloatArray
-    log_likelihood: FloatArray
+    used, values, noise = observed.used, observed.values, observed.noise
+    h, covariance = expected.h, expected.covariance
+    inside = True
+    for c in range(DIM):
+        difference = 0.0
+        if used[j, c]:
+            difference = values[j, c] - h[m, c]
+            if c in (AOA_AZIMUTH, AOD_AZIMUTH):
+                difference = wrapped(difference)
+            variance = covariance[m, c, c] + noise[j, c, c]
+            if difference * difference > gate * variance:
+                inside = False
+        innovation[m, j, c] = difference
+    return inside

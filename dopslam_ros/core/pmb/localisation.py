@@ -19,10 +19,10 @@ from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
 from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.merge import uncouple
-from dopslam_ros.core.pmb.step_kernels import Outcome, name, rank
-from dopslam_ros.core.pmb.update import Updated, condition
+from dopslam_ros.core.pmb.step_kernels import Outcome, associate_paths, by_landmark_id
+from dopslam_ros.core.pmb.update import Linearised, Updated, condition
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import NONE, UE
+from dopslam_ros.core.settings.layout import HEADING, NONE
 
 
 @from_python
@@ -38,14 +38,15 @@ def localise(
         speed: v at the snapshot [m/s].
         constants: of the filter.
     """
-    ranked = rank(weighed, observed, speed, constants)
-    best = ranked.hypotheses
-    updated = condition(prior.mean, prior.covariance, ranked.evidence, observed, best.source)
+    association = associate_paths(weighed, observed, speed, constants)
+    best = association.hypotheses
+    about = Linearised(prior.mean, prior.vehicle, prior.start, association.likelihoods, observed)
+    updated = condition(about, prior.covariance, best.source)
     after = consider(prior, updated, best.weight, constants.joint)
     unborn = np.full(len(observed.values), NONE)
-    named = name(prior.track_id, ranked, unborn, updated.nis[0], observed)
+    named = by_landmark_id(prior.track_id, association, unborn, updated.nis[0], observed)
     leaving = some_left_behind(after, constants.sp_field_of_view)
-    return Outcome(after, leaving, named, ranked.sound and updated.sound)
+    return Outcome(after, leaving, named, association.definite and updated.definite)
 
 
 @jit_inline
@@ -58,16 +59,16 @@ def consider(density: Density, updated: Updated, weight: FloatArray, joint: bool
         weight: (H,) of the hypotheses, normalised.
         joint: whether correlations are kept.
     """
-    n = len(density.mean)
+    n, vehicle = len(density.mean), density.start[0]
     mean, covariance = density.mean.copy(), density.covariance.copy()
-    for i in range(UE):
+    for i in range(vehicle):
         mean[i] = 0.0
     shares = np.empty(len(weight))
     for h in range(len(weight)):
-        shares[updated.place[h]] = weight[h]
-        for i in range(UE):
+        shares[updated.rank[h]] = weight[h]
+        for i in range(vehicle):
             mean[i] += weight[h] * updated.means[h, i]
-    for i in range(UE):
+    for i in range(vehicle):
         row = updated.covariance[i].copy()
         for branch in range(len(updated.gains)):
             share, gain = 0.0, updated.gains[branch]
@@ -78,18 +79,19 @@ def consider(density: Density, updated: Updated, weight: FloatArray, joint: bool
                 for j in range(n):
                     row[j] -= factor * gain[k, j]
         for h in range(len(weight)):
-            for j in range(UE):
+            for j in range(vehicle):
                 off = (updated.means[h, i] - mean[i]) * (updated.means[h, j] - mean[j])
                 row[j] += weight[h] * off
         for j in range(i, n):
             covariance[i, j] = row[j]
             covariance[j, i] = row[j]
-    mean[2] = wrapped(mean[2])
+    mean[HEADING] = wrapped(mean[HEADING])
     if not joint:
-        uncouple(covariance)
+        uncouple(covariance, density.start)
     return Density(
         mean,
         covariance,
+        density.vehicle,
         density.start,
         density.origin,
         density.axes,

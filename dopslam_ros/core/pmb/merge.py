@@ -9,14 +9,14 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
-from dopslam_ros.core.pmb.density import Density, block_starts
+from dopslam_ros.core.pmb.density import Density, block_starts, blocks_of
 from dopslam_ros.core.pmb.update import Updated
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import DIM, NONE, UE
+from dopslam_ros.core.settings.layout import DIM, NONE, SPACE
 
 
 @jit_inline
-def judge(
+def existence_and_type(
     density: Density, detection: FloatArray, birth_track: IntArray, source: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Existence and type of every landmark under every hypothesis.
@@ -61,10 +61,10 @@ def judge(
 
 
 @jit_inline
-def supports(
+def block_weights(
     weight: FloatArray, conditioned: Conditioned
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How much each hypothesis says of each block of the joint vector.
+    """The weight of each hypothesis in each block of the joint vector: W, or W r u, normalised.
 
     Args:
         weight: (H,) W, of the vehicle's block; W r u is that of a component's block.
@@ -114,30 +114,29 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
         constants: what is unlikely, and whether blocks stay correlated.
     """
     density, updated = conditioned.density, conditioned.updated
-    shares, existence, share = supports(weight, conditioned)
-    components, tracks = kept_of(density.component_track, existence, share, constants)
-    index = np.arange(UE + 3 * len(components))
-    for k in range(len(components)):
-        for i in range(3):
-            index[UE + 3 * k + i] = UE + 3 * components[k] + i
-    mean, deviation = moments(updated.means, shares, index)
+    shares, existence, share = block_weights(weight, conditioned)
+    components, tracks = likely(density.component_track, existence, share, constants)
+    index, types = kept_columns(density, components)
+    start = block_starts(density.start[0], types)
+    block = blocks_of(start)
     roots = np.empty((len(weight), 1 + len(components)))
     for h in range(len(weight)):
-        roots[updated.place[h], 0] = math.sqrt(shares[h, 0])
+        roots[updated.rank[h], 0] = math.sqrt(shares[h, 0])
         for k in range(len(components)):
-            roots[updated.place[h], 1 + k] = math.sqrt(shares[h, 1 + components[k]])
+            roots[updated.rank[h], 1 + k] = math.sqrt(shares[h, 1 + components[k]])
+    mean, deviation = moments(updated.means, shares, index, blocks_of(density.start))
     owner = renumbered(density.component_track, components, tracks)
     size = len(components)
-    origin, axes, of_type = np.empty((size, 3)), np.empty((size, 3, 3)), np.empty(size)
-    types, ids, exist = np.empty(size, np.int64), np.empty_like(tracks), np.empty(len(tracks))
-    of_track = np.zeros(len(tracks))
+    origin, axes = np.empty((size, SPACE)), np.empty((size, SPACE, SPACE))
+    of_type, of_track = np.empty(size), np.zeros(len(tracks))
+    ids, exist = np.empty_like(tracks), np.empty(len(tracks))
     for k in range(size):
         c = components[k]
-        types[k], of_type[k] = density.component_type[c], share[c]
+        of_type[k] = share[c]
         of_track[owner[k]] += of_type[k]
-        for i in range(3):
+        for i in range(SPACE):
             origin[k, i] = density.origin[c, i]
-            for j in range(3):
+            for j in range(SPACE):
                 axes[k, i, j] = density.axes[c, i, j]
     for k in range(size):
         of_type[k] /= of_track[owner[k]]
@@ -145,8 +144,9 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
         ids[k], exist[k] = density.track_id[tracks[k]], existence[tracks[k]]
     return Density(
         mean,
-        spread(updated, roots, deviation, index, constants.joint),
-        block_starts(density.start[0], types),
+        merged_covariance(updated, roots, deviation, index, start, block, constants.joint),
+        density.vehicle,
+        start,
         origin,
         axes,
         owner,
@@ -160,16 +160,19 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
 
 
 @jit
-def kept_of(
+def likely(
     owner: IntArray, existence: FloatArray, share: FloatArray, constants: Constants
 ) -> tuple[IntArray, IntArray]:
-    """Components of types that are likely enough, and the tracks that are; theirs are the others'.
+    """Tracks that exist likely enough, and their components of types that are likely enough.
 
     Args:
         owner: (C,) track of each component.
         existence: (T,).
         share: (C,) probability of the component's type.
         constants: what is likely enough.
+
+    Returns:
+        The components and the tracks, by index.
     """
     components, tracks = np.empty(len(owner), np.int64), np.empty(len(existence), np.int64)
     count = 0
@@ -186,6 +189,23 @@ def kept_of(
 
 
 @jit
+def kept_columns(density: Density, components: IntArray) -> tuple[IntArray, IntArray]:
+    """(n,) where in the joint vector the vehicle and some components are; (K,) their types."""
+    size = density.start[0]
+    for c in components:
+        size += density.start[c + 1] - density.start[c]
+    index, types = np.arange(size), np.empty(len(components), np.int64)
+    at = density.start[0]
+    for k in range(len(components)):
+        c = components[k]
+        types[k] = density.component_type[c]
+        for i in range(density.start[c], density.start[c + 1]):
+            index[at] = i
+            at += 1
+    return index, types
+
+
+@jit
 def renumbered(owner: IntArray, components: IntArray, tracks: IntArray) -> IntArray:
     """Tracks (C,) of the components that are kept, numbered as the tracks that are kept."""
     new = np.empty(len(components), np.int64)
@@ -199,7 +219,7 @@ def renumbered(owner: IntArray, components: IntArray, tracks: IntArray) -> IntAr
 
 @jit
 def moments(
-    means: FloatArray, shares: FloatArray, index: IntArray
+    means: FloatArray, shares: FloatArray, index: IntArray, block: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """The mean (n,) over the hypotheses, and (H, n) deviations times the roots of their weights.
 
@@ -207,22 +227,28 @@ def moments(
         means: (H, m).
         shares: (H, 1 + C) weights of vehicle and components.
         index: (n,) which of the m are wanted.
+        block: (m,) to which block each belongs, 0 the vehicle's.
     """
     rows = len(means)
     mean, deviation = np.zeros(len(index)), np.zeros((rows, len(index)))
     for i in range(len(index)):
         at = index[i]
-        block = 0 if at < UE else 1 + (at - UE) // 3
         for h in range(rows):
-            mean[i] += shares[h, block] * means[h, at]
+            mean[i] += shares[h, block[at]] * means[h, at]
         for h in range(rows):
-            deviation[h, i] = math.sqrt(shares[h, block]) * (means[h, at] - mean[i])
+            deviation[h, i] = math.sqrt(shares[h, block[at]]) * (means[h, at] - mean[i])
     return mean, deviation
 
 
 @jit
-def spread(
-    updated: Updated, roots: FloatArray, deviation: FloatArray, index: IntArray, joint: bool
+def merged_covariance(
+    updated: Updated,
+    roots: FloatArray,
+    deviation: FloatArray,
+    index: IntArray,
+    start: IntArray,
+    block: IntArray,
+    joint: bool,
 ) -> FloatArray:
     """The covariance (n, n) within the hypotheses and between them.
 
@@ -231,27 +257,28 @@ def spread(
         roots: (H, 1 + K) of the weights of vehicle and components, in the order of the runs.
         deviation: (H, n) of the means, times the roots.
         index: (n,) columns of vehicle and components.
+        start: (K + 1,) where the components' blocks begin among these.
+        block: (n,) to which block each belongs, 0 the vehicle's.
         joint: whether the blocks are correlated.
     """
     n, branches = len(index), len(updated.gains)
-    covariance = np.zeros((n, n))
+    covariance, together = np.zeros((n, n)), np.empty(n)
     gains = np.empty((branches, DIM, n))
     for branch in range(branches):
         for k in range(DIM):
             for i in range(n):
                 gains[branch, k, i] = updated.gains[branch, k, index[i]]
-    together = np.empty(n)
-    for block in range(roots.shape[1]):
-        low = 0 if block == 0 else UE + 3 * (block - 1)
-        high = UE if block == 0 else low + 3
+    high = 0
+    for number in range(roots.shape[1]):
+        low, high = high, start[number]
         begin = 0 if joint else low
-        weigh_together(roots, 0, len(roots), block, together)
+        common_weight(roots, 0, len(roots), number, high, block, together)
         for i in range(low, high):
             for j in range(begin, i + 1):
                 covariance[i, j] = together[j] * updated.covariance[index[i], index[j]]
         for branch in range(branches):
             first, last = updated.first[branch], updated.last[branch]
-            if weigh_together(roots, first, last, block, together):
+            if common_weight(roots, first, last, number, high, block, together):
                 for i in range(low, high):
                     subtract_weighted(gains, branch, i, begin, together, covariance)
         for i in range(low, high):
@@ -266,8 +293,14 @@ def spread(
 
 
 @jit
-def weigh_together(
-    roots: FloatArray, first: int, last: int, block: int, together: FloatArray
+def common_weight(
+    roots: FloatArray,
+    first: int,
+    last: int,
+    number: int,
+    high: int,
+    block: IntArray,
+    together: FloatArray,
 ) -> bool:
     """The weight that some hypotheses have between a block and those up to it.
 
@@ -275,25 +308,22 @@ def weigh_together(
         roots: (H, 1 + K) of all hypotheses.
         first: of those that count.
         last: one beyond them.
-        block: 0 the vehicle, then the components.
+        number: of the block: 0 the vehicle, then the components.
+        high: one beyond its last column.
+        block: (n,) to which block each column belongs.
         together: (n,) result: of each column up to the end of the block.
 
     Returns:
         Whether there is any.
     """
-    own = 0.0
-    for other in range(block + 1):
-        total = 0.0
-        for at in range(first, last):
-            total += roots[at, block] * roots[at, other]
-        own = total
-        if other == 0:
-            for i in range(UE):
-                together[i] = total
-        else:
-            for i in range(3):
-                together[UE + 3 * (other - 1) + i] = total
-    return own > 0.0
+    before, total = NONE, 0.0
+    for i in range(high):
+        if block[i] != before:
+            before, total = block[i], 0.0
+            for at in range(first, last):
+                total += roots[at, number] * roots[at, before]
+        together[i] = total
+    return total > 0.0
 
 
 @jit
@@ -316,13 +346,12 @@ def subtract_weighted(
 
 
 @from_python
-def uncouple(covariance: FloatArray) -> None:
-    """Zeroes (n, n) between the vehicle's block and those of the components, in place."""
-    n = covariance.shape[0]
-    for i in range(n):
-        mine = NONE if i < UE else (i - UE) // 3
-        for j in range(n):
-            if mine != (NONE if j < UE else (j - UE) // 3):
+def uncouple(covariance: FloatArray, start: IntArray) -> None:
+    """Zeroes (n, n) between the blocks of vehicle and components, which begin at start, in place."""
+    block = blocks_of(start)
+    for i in range(len(block)):
+        for j in range(len(block)):
+            if block[i] != block[j]:
                 covariance[i, j] = 0.0
 
 

@@ -14,7 +14,7 @@ from dopslam_ros.core.pmb.coordinates_kernels import frames
 from dopslam_ros.core.pmb.density import Density, block_starts
 from dopslam_ros.core.pmb.hypotheses import Hypotheses
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import NONE, SP, UE, VA
+from dopslam_ros.core.settings.layout import LANDMARK_SIZES, NONE, SPACE, UNKNOWN_TYPES, X, Y
 
 
 @jit_inline
@@ -115,33 +115,35 @@ def augment(
         if numbered[j]:
             next_id += 1
     total = components + count
-    origin, axes = np.empty((total, 3)), np.empty((total, 3, 3))
+    origin, axes = np.empty((total, SPACE)), np.empty((total, SPACE, SPACE))
     owner, types = np.empty(total, np.int64), np.empty(total, np.int64)
-    weight, offset = np.empty(total), np.empty((count, 3))
+    weight, offset = np.empty(total), np.empty((count, SPACE))
     for c in range(components):
         owner[c], types[c] = density.component_track[c], density.component_type[c]
         weight[c] = density.component_weight[c]
-        for i in range(3):
+        for i in range(SPACE):
             origin[c, i] = density.origin[c, i]
-            for j in range(3):
+            for j in range(SPACE):
                 axes[c, i, j] = density.axes[c, i, j]
     for birth in range(count):
         at = components + birth
-        origin[at, 0], origin[at, 1] = density.mean[0], density.mean[1]
+        origin[at, 0], origin[at, 1] = density.mean[X], density.mean[Y]
         origin[at, 2] = constants.ue_height
         owner[at] = birth_track[path[birth]]
-        types[at] = VA if kind[birth] == 0 else SP
+        types[at] = UNKNOWN_TYPES[kind[birth]]
         weight[at] = share[birth]
-        for i in range(3):
+        for i in range(SPACE):
             offset[birth, i] = births.position[kind[birth], path[birth], i] - origin[at, i]
     own_axes = axes[components:]
     frames(offset, own_axes)
-    mean, covariance = append(density, births, path, kind, offset, own_axes)
+    start = block_starts(density.start[0], types)
+    mean, covariance = append(density, births, path, kind, offset, own_axes, start)
     return (
         Density(
             mean,
             covariance,
-            block_starts(density.start[0], types),
+            density.vehicle,
+            start,
             origin,
             axes,
             owner,
@@ -164,6 +166,7 @@ def append(
     kind: IntArray,
     offset: FloatArray,
     axes: FloatArray,
+    start: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance with B births behind the rest.
 
@@ -174,18 +177,21 @@ def append(
         kind: (B,) of which type.
         offset: (B, 3) from the vehicle [m], along which the first axes point.
         axes: (B, 3, 3) of their frames.
+        start: (C + B + 1,) where the blocks of the old and new components begin.
     """
-    n = len(density.mean)
-    total = n + 3 * len(path)
+    n, vehicle = len(density.mean), density.start[0]
+    total = start[-1]
     mean, covariance = np.zeros(total), np.zeros((total, total))
     for i in range(n):
         mean[i] = density.mean[i]
         for j in range(n):
             covariance[i, j] = density.covariance[i, j]
-    spread, gain = np.empty((3, 3)), np.empty((3, UE))
     for birth in range(len(path)):
         k, j = kind[birth], path[birth]
-        place_birth(
+        at = start[len(start) - 1 - len(path) + birth]
+        size = LANDMARK_SIZES[UNKNOWN_TYPES[k]]
+        spread, gain = np.zeros((size, size)), np.zeros((size, vehicle))
+        birth_in_frame(
             density.covariance,
             offset[birth],
             axes[birth],
@@ -195,18 +201,17 @@ def append(
             gain,
         )
         x, y, z = offset[birth, 0], offset[birth, 1], offset[birth, 2]
-        at = n + 3 * birth
         mean[at] = math.sqrt(x * x + y * y + z * z)
-        for c in range(3):
+        for c in range(size):
             i = at + c
             # Columns up to here: the old ones, then the births before this one.
-            for m in range(UE):
+            for m in range(vehicle):
                 for other in range(i):
                     covariance[i, other] += gain[c, m] * covariance[m, other]
             for other in range(i):
                 covariance[other, i] = covariance[i, other]
             own = spread[c, c]
-            for m in range(UE):
+            for m in range(vehicle):
                 own += gain[c, m] * covariance[m, i]
             for d in range(c):
                 covariance[i, at + d] += spread[c, d]
@@ -216,7 +221,7 @@ def append(
 
 
 @jit
-def place_birth(
+def birth_in_frame(
     covariance: FloatArray,
     offset: FloatArray,
     axes: FloatArray,
@@ -232,31 +237,31 @@ def place_birth(
         offset: (3,) from the vehicle [m].
         axes: (3, 3) of the frame.
         position_covariance: (3, 3) [m^2].
-        position_gain: (3, 4) d position / ds.
+        position_gain: (3, U) d position / ds.
         spread: (3, 3) result: covariance of q given the vehicle.
-        gain: (3, 4) result: dq/ds.
+        gain: (3, U) result: dq/ds.
     """
-    local = np.empty((3, 3))
+    local, vehicle = np.empty((SPACE, SPACE)), gain.shape[1]
     reach = math.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
     # dq/dx where the tangents are zero: the axes, those across scaled by the range.
-    for r in range(3):
+    for r in range(SPACE):
         scale = 1.0 if r == 0 else 1.0 / reach
-        for c in range(3):
+        for c in range(SPACE):
             local[r, c] = axes[c, r] * scale
-    for r in range(3):
-        for k in range(UE):
+    for r in range(SPACE):
+        for k in range(vehicle):
             total = 0.0
-            for c in range(3):
+            for c in range(SPACE):
                 total += local[r, c] * position_gain[c, k]
             gain[r, k] = total
-    for r in range(3):
+    for r in range(SPACE):
         for d in range(r + 1):
             total = 0.0
-            for i in range(3):
-                for j in range(3):
+            for i in range(SPACE):
+                for j in range(SPACE):
                     total += local[r, i] * position_covariance[i, j] * local[d, j]
-            for i in range(UE):
-                for j in range(UE):
+            for i in range(vehicle):
+                for j in range(vehicle):
                     total -= gain[r, i] * covariance[i, j] * gain[d, j]
             spread[r, d] = total
             spread[d, r] = total

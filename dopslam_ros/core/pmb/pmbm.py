@@ -19,8 +19,9 @@ from dopslam_ros.core.pmb.merge import Conditioned
 from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.pmb.state import FilterState, initial_filter_state
 from dopslam_ros.core.pmb.step import NOT_POSITIVE, advance, step
-from dopslam_ros.core.pmb.step_kernels import Associations, DataAssociation, conclude, continued
+from dopslam_ros.core.pmb.step_kernels import Associations, DataAssociation, condition_on, posterior
 from dopslam_ros.core.settings.filtering import FilterParameters
+from dopslam_ros.core.settings.layout import HEADING
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Mixture:
         if len(self.hypotheses) == 1:
             return self.best.ue_covariance
         deviation = np.array([h.ue_mean for h in self.hypotheses]) - self.ue_mean
-        deviation[:, 2] = wrap_angle(deviation[:, 2])
+        deviation[:, HEADING] = wrap_angle(deviation[:, HEADING])
         within = np.array([h.ue_covariance for h in self.hypotheses])
         covariance = np.einsum("g,gij->ij", self.weight, within)
         return symmetrise(covariance + (deviation.T * self.weight) @ deviation)
@@ -65,9 +66,9 @@ class Mixture:
 def _circular_mean(states: FloatArray, weight: FloatArray) -> FloatArray:
     """(4,) weighted mean of states (G, 4), of the heading about that of the first."""
     deviation = states - states[0]
-    deviation[:, 2] = wrap_angle(deviation[:, 2])
+    deviation[:, HEADING] = wrap_angle(deviation[:, HEADING])
     mean = states[0] + weight @ deviation
-    mean[2] = wrap_angle(mean[2])
+    mean[HEADING] = wrap_angle(mean[HEADING])
     return np.asarray(mean)
 
 
@@ -118,18 +119,22 @@ def mixture_step(
         return MixtureStep(Mixture((outcome.state,), np.ones(1)), outcome.associations)
     observed, constants = prepare(measurements, parameters), parameters.constants
     predicted = [advance(hypothesis, spans, parameters) for hypothesis in mixture.hypotheses]
-    ranked = [kernels.rank(one.density, observed, float(speed), constants) for one in predicted]
-    numbered = np.any([one.born.kept for one in ranked], axis=0)
-    conditioned = [
-        continued(one.density, found, numbered, observed, constants)
-        for one, found in zip(predicted, ranked, strict=True)
+    found = [
+        kernels.associate_paths(one.density, observed, float(speed), constants) for one in predicted
     ]
-    if not all(one.sound for one in ranked) or not all(one.updated.sound for one in conditioned):
+    numbered = np.any([one.born.kept for one in found], axis=0)
+    conditioned = [
+        condition_on(one.density, association, numbered, observed, constants)
+        for one, association in zip(predicted, found, strict=True)
+    ]
+    if not all(one.definite for one in found) or not all(
+        one.updated.definite for one in conditioned
+    ):
         raise np.linalg.LinAlgError(NOT_POSITIVE)
-    log_prior = np.log(mixture.weight) + [one.hypotheses.log_evidence for one in ranked]
+    log_prior = np.log(mixture.weight) + [one.hypotheses.log_evidence for one in found]
     log_evidence = float(logsumexp(log_prior))
     prior = np.exp(log_prior - log_evidence)
-    parts = [share * one.hypotheses.weight for share, one in zip(prior, ranked, strict=True)]
+    parts = [share * one.hypotheses.weight for share, one in zip(prior, found, strict=True)]
     weight = np.concatenate(parts)
     order = np.argsort(-weight, kind="stable")
     kept = [
@@ -143,15 +148,15 @@ def mixture_step(
         number = int(np.searchsorted(begin, index, side="right")) - 1
         alone = np.zeros(len(parts[number]))
         alone[index - begin[number]] = 1.0
-        density, leaving = conclude(alone, conditioned[number], constants)
+        density, leaving = posterior(alone, conditioned[number], constants)
         state = FilterState(density, predicted[number].inactive)
         states.append(deactivate(state, parameters) if leaving else state)
-    associations = _pooled(ranked, conditioned, observed, weight, log_evidence)
+    associations = _pooled(found, conditioned, observed, weight, log_evidence)
     return MixtureStep(Mixture(tuple(states), weight[kept] / weight[kept].sum()), associations)
 
 
 def _pooled(
-    ranked: Sequence[DataAssociation],
+    found: Sequence[DataAssociation],
     conditioned: Sequence[Conditioned],
     observed: Observed,
     weight: FloatArray,
@@ -159,14 +164,14 @@ def _pooled(
 ) -> Associations:
     """The associations of all global hypotheses together."""
     each = [
-        kernels.name(
+        kernels.by_landmark_id(
             one.density.track_id,
-            found,
+            association,
             one.birth_track,
             float(one.updated.nis[0]),
             observed,
         )
-        for found, one in zip(ranked, conditioned, strict=True)
+        for association, one in zip(found, conditioned, strict=True)
     ]
     born = np.max([one.born for one in each], axis=0)  # NONE is below every id
     # The likeliest of all is the likeliest of one of them.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dopslam_ros.core.linalg.jit import from_python
-from dopslam_ros.core.pmb import step_kernels as step
+from dopslam_ros.core.pmb import step_kernels
 
-rank = from_python(step.rank)
-name = from_python(step.name)
+associate_paths = from_python(step_kernels.associate_paths)
+by_landmark_id = from_python(step_kernels.by_landmark_id)

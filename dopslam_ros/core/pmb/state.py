@@ -11,7 +11,6 @@ from dopslam_ros.core.linalg.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
-    block_indices,
     floats,
     integers,
 )
@@ -20,7 +19,7 @@ from dopslam_ros.core.pmb.density import Density, Undetected, block_starts
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid
 from dopslam_ros.core.pmb.undetected import nothing_seen
 from dopslam_ros.core.settings.filtering import FilterParameters
-from dopslam_ros.core.settings.layout import UE
+from dopslam_ros.core.settings.layout import ANGLES
 
 
 @dataclass(frozen=True)
@@ -39,12 +38,12 @@ class FilterState:
 
     @property
     def mean(self) -> FloatArray:
-        """(4 + 3 C,)."""
+        """(n,)."""
         return self.density.mean
 
     @property
     def covariance(self) -> FloatArray:
-        """(4 + 3 C, 4 + 3 C)."""
+        """(n, n)."""
         return self.density.covariance
 
     @property
@@ -106,12 +105,12 @@ class FilterState:
 
     @property
     def ue_mean(self) -> FloatArray:
-        """(4,) estimate of the vehicle."""
+        """(U,) estimate of the vehicle."""
         return self.mean[: self.start[0]]
 
     @property
     def ue_covariance(self) -> FloatArray:
-        """(4, 4) its covariance."""
+        """(U, U) its covariance."""
         return self.covariance[: self.start[0], : self.start[0]]
 
     @property
@@ -119,16 +118,10 @@ class FilterState:
         """Ids of all tracks, active or inactive."""
         return np.concatenate([self.track_id, *(c.track_id for c in self.inactive.cells.values())])
 
-    @property
-    def placements(self) -> FloatArray:
-        """(C, 3) q of the components."""
-        return self.mean[UE:].reshape(-1, 3)
-
-    @property
-    def placement_covariances(self) -> FloatArray:
-        """(C, 3, 3) covariances of q."""
-        index = block_indices(UE, np.arange(len(self.component_track)), 3)
-        return self.covariance[index[:, :, None], index[:, None, :]]
+    def columns(self, components: IntArray) -> IntArray:
+        """Where the numbers of some components are in the joint vector, one block after another."""
+        start = self.density.start
+        return np.concatenate([[], *(np.arange(*start[c : c + 2]) for c in components)]).astype(int)
 
     @property
     def positions(self) -> FloatArray:
@@ -142,8 +135,8 @@ class FilterState:
             components: (C,) which are kept.
             tracks: (T,) which are kept; they have a component that is.
         """
-        blocks = block_indices(UE, np.flatnonzero(components), 3).ravel()
-        index = np.concatenate([np.arange(UE), blocks])
+        kept = np.flatnonzero(components)
+        index = np.concatenate([np.arange(self.start[0]), self.columns(kept)])
         renumbered = np.cumsum(tracks) - 1
         return self.but(
             mean=self.mean[index],
@@ -168,10 +161,13 @@ def _as_compiled(value: Any) -> Any:
 def initial_filter_state(parameters: FilterParameters) -> FilterState:
     """The density before the first snapshot: the prior of the vehicle and an unknown map."""
     none = np.zeros(0, dtype=np.int64)
+    # Components beyond those that the models know are no angles.
+    vehicle = ANGLES + (False,) * (len(parameters.initial_state) - len(ANGLES))
     density = Density(
         mean=np.array(parameters.initial_state),
         covariance=floats(parameters.initial_covariance),
-        start=np.array([len(parameters.initial_state)]),
+        vehicle=vehicle,
+        start=np.array([len(vehicle)]),
         origin=np.zeros((0, 3)),
         axes=np.zeros((0, 3, 3)),
         component_track=none,

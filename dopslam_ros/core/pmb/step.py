@@ -15,7 +15,7 @@ from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.localisation import localise
 from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.pmb.state import FilterState
-from dopslam_ros.core.pmb.step_kernels import Associations, learn
+from dopslam_ros.core.pmb.step_kernels import Associations, slam
 from dopslam_ros.core.settings.filtering import FilterParameters
 
 NOT_POSITIVE = "an innovation's covariance is not positive definite"
@@ -81,10 +81,10 @@ def update(
     """
     before, after, constants = weighed.density, prior.density, parameters.constants
     if parameters.mapping:
-        outcome = learn(before, after, births, observed, float(speed), constants)
+        outcome = slam(before, after, births, observed, float(speed), constants)
     else:
         outcome = localise(before, after, observed, float(speed), constants)
-    if not outcome.sound:
+    if not outcome.definite:
         raise np.linalg.LinAlgError(NOT_POSITIVE)
     state = FilterState(outcome.density, prior.inactive)
     if outcome.leaving:

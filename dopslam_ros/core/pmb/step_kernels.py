@@ -1,4 +1,4 @@
-"""The step: rank the associations, update under each, conclude."""
+"""The step: associate the paths, update under each association, merge."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.models.channel_kernels import wrapped
 from dopslam_ros.core.pmb.birth import Births, propose
 from dopslam_ros.core.pmb.density import Density
-from dopslam_ros.core.pmb.hypotheses import Hypotheses, LocalWeights, associate, weigh_locally
+from dopslam_ros.core.pmb.hypotheses import Hypotheses, LocalWeights, associate, local_weights
 from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
-from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed, weigh
-from dopslam_ros.core.pmb.merge import Conditioned, judge, merge
+from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed, local_likelihoods
+from dopslam_ros.core.pmb.merge import Conditioned, existence_and_type, merge
 from dopslam_ros.core.pmb.newborn import Newborn, augment, newborn
 from dopslam_ros.core.pmb.undetected_kernels import looked_from
-from dopslam_ros.core.pmb.update import condition
+from dopslam_ros.core.pmb.update import Linearised, condition
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import NONE
+from dopslam_ros.core.settings.layout import HEADING, NONE, X, Y
 
 
 @from_python
-def learn(
+def slam(
     weighed: Density,
     prior: Density,
     births: bool,
@@ -42,56 +42,68 @@ def learn(
         speed: v at the snapshot [m/s].
         constants: of the filter.
     """
-    ranked = rank(weighed, observed, speed, constants)
+    association = associate_paths(weighed, observed, speed, constants)
     if not births:
-        none = Newborn(ranked.born.existence, np.zeros(len(observed.values), np.bool_))
-        ranked = DataAssociation(
-            ranked.evidence, ranked.births, ranked.weights, ranked.hypotheses, none, ranked.sound
+        none = Newborn(association.born.existence, np.zeros(len(observed.values), np.bool_))
+        association = DataAssociation(
+            association.likelihoods,
+            association.births,
+            association.weights,
+            association.hypotheses,
+            none,
+            association.definite,
         )
-    conditioned = continued(prior, ranked, ranked.born.kept, observed, constants)
-    after, leaving = conclude(ranked.hypotheses.weight, conditioned, constants)
-    named = name(
+    conditioned = condition_on(prior, association, association.born.kept, observed, constants)
+    after, leaving = posterior(association.hypotheses.weight, conditioned, constants)
+    named = by_landmark_id(
         conditioned.density.track_id,
-        ranked,
+        association,
         conditioned.birth_track,
         conditioned.updated.nis[0],
         observed,
     )
-    return Outcome(after, leaving, named, ranked.sound and conditioned.updated.sound)
+    return Outcome(after, leaving, named, association.definite and conditioned.updated.definite)
 
 
 @jit
-def rank(
+def associate_paths(
     density: Density, observed: Observed, speed: float, constants: Constants
 ) -> DataAssociation:
     """Weighs the paths against a predicted density and finds the best associations."""
-    evidence, sound = weigh(density, observed, speed, constants)
+    likelihoods, definite = local_likelihoods(density, observed, speed, constants)
     births = propose(density, observed, speed, constants)
-    weights = weigh_locally(density, observed, evidence, births, constants)
+    weights = local_weights(density, observed, likelihoods, births, constants)
     best = associate(density.component_track, weights, constants.gamma)
     born = newborn(births.log_intensity, weights.new, best, constants.prune_existence)
-    sound = sound and math.isfinite(best.log_evidence)
-    return DataAssociation(evidence, births, weights, best, born, sound)
+    definite = definite and math.isfinite(best.log_evidence)
+    return DataAssociation(likelihoods, births, weights, best, born, definite)
 
 
 @from_python
-def continued(
+def condition_on(
     density: Density,
-    ranked: DataAssociation,
+    association: DataAssociation,
     numbered: BoolArray,
     observed: Observed,
     constants: Constants,
 ) -> Conditioned:
     """Updates a density with each of its associations; ``numbered`` (J,) births get an id."""
-    augmented, birth_track = augment(density, ranked.births, ranked.born, numbered, constants)
-    source = ranked.hypotheses.source
-    updated = condition(augmented.mean, augmented.covariance, ranked.evidence, observed, source)
-    existence, type_weight = judge(augmented, ranked.evidence.detection, birth_track, source)
+    augmented, birth_track = augment(
+        density, association.births, association.born, numbered, constants
+    )
+    source = association.hypotheses.source
+    about = Linearised(
+        augmented.mean, augmented.vehicle, augmented.start, association.likelihoods, observed
+    )
+    updated = condition(about, augmented.covariance, source)
+    existence, type_weight = existence_and_type(
+        augmented, association.likelihoods.detection, birth_track, source
+    )
     return Conditioned(augmented, birth_track, updated, existence, type_weight)
 
 
 @from_python
-def conclude(
+def posterior(
     weight: FloatArray, conditioned: Conditioned, constants: Constants
 ) -> tuple[Density, bool]:
     """A posterior density made ready for the next step.
@@ -106,11 +118,12 @@ def conclude(
     """
     merged = merge(weight, conditioned, constants)
     mean = merged.mean
-    mean[2] = wrapped(mean[2])
-    undetected = looked_from(merged.undetected, mean[0], mean[1], constants.sp_field_of_view)
+    mean[HEADING] = wrapped(mean[HEADING])
+    undetected = looked_from(merged.undetected, mean[X], mean[Y], constants.sp_field_of_view)
     after = Density(
         mean,
         merged.covariance,
+        merged.vehicle,
         merged.start,
         merged.origin,
         merged.axes,
@@ -126,9 +139,9 @@ def conclude(
 
 
 @jit
-def name(
+def by_landmark_id(
     track_id: IntArray,
-    ranked: DataAssociation,
+    association: DataAssociation,
     birth_track: IntArray,
     nis: float,
     observed: Observed,
@@ -137,12 +150,12 @@ def name(
 
     Args:
         track_id: (T,) those of the density come first, then the births.
-        ranked: the associations.
+        association: of the paths with the density.
         birth_track: (J,) track born from each path, or NONE.
         nis: of the likeliest.
         observed: the paths.
     """
-    best, weights = ranked.hypotheses, ranked.weights
+    best, weights = association.hypotheses, association.weights
     rows, paths = best.track.shape
     ids, born, dof = np.empty((rows, paths), np.int64), np.empty(paths, np.int64), 0
     for j in range(paths):
@@ -173,20 +186,20 @@ class DataAssociation(NamedTuple):
     """How the paths may go with a density.
 
     Attributes:
-        evidence: of every source.
+        likelihoods: of every source.
         births: a candidate from every path.
         weights: of every pair.
         hypotheses: the best associations.
         born: births worth keeping.
-        sound: whether the arithmetic went well.
+        definite: whether every innovation's covariance was positive definite.
     """
 
-    evidence: Likelihoods
+    likelihoods: Likelihoods
     births: Births
     weights: LocalWeights
     hypotheses: Hypotheses
     born: Newborn
-    sound: bool
+    definite: bool
 
 
 class Associations(NamedTuple):
@@ -225,10 +238,10 @@ class Outcome(NamedTuple):
         density: posterior.
         leaving: whether scattering points were left behind.
         associations: the hypotheses it was merged from.
-        sound: whether the arithmetic went well.
+        definite: whether every innovation's covariance was positive definite.
     """
 
     density: Density
     leaving: bool
     associations: Associations
-    sound: bool
+    definite: bool

@@ -1,4 +1,4 @@
-"""The Gaussian update of every hypothesis.
+"""The joint Gaussian update of every hypothesis: p(s, q | Z, association).
 
 A path that all hypotheses give to the same source is worked into the covariance once. What they
 do not agree on makes a tree: P under a hypothesis is P before less W'W of each branch on its way,
@@ -14,95 +14,204 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.linalg.small import cholesky, forward, forward_columns
+from dopslam_ros.core.pmb.agreement import by_agreement, in_order
+from dopslam_ros.core.pmb.density import block_of
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
-from dopslam_ros.core.settings.layout import DIM, NONE, UE
+from dopslam_ros.core.settings.layout import BS_ID, DIM, NONE, Components
 
 # Paths that are worked into a covariance in one go: their rows W must fit into the cache.
-BLOCK = 8
+BATCH = 8
+
+
+class Updated(NamedTuple):
+    """The joint Gaussian under each of H hypotheses, in a form that they share.
+
+    The updates by paths that all of them give to the same source are in ``covariance``. Each of
+    the others is a branch: a run of hypotheses, taken in some order, with it has W'W less.
+
+    Attributes:
+        covariance: (n, n) P, before the branches.
+        means: (H, n).
+        nis: (H,) normalised innovation squared of all paths that are given away, jointly.
+        rank: (H,) of each hypothesis in the order of the runs.
+        first: (B,) first rank of the run of each branch.
+        last: (B,) one beyond its last rank.
+        gains: (B, 6, n) W.
+        definite: whether every innovation's covariance was positive definite.
+    """
+
+    covariance: FloatArray
+    means: FloatArray
+    nis: FloatArray
+    rank: IntArray
+    first: IntArray
+    last: IntArray
+    gains: FloatArray
+    definite: bool
+
+
+class Linearised(NamedTuple):
+    """The paths, and h of every source about the predicted mean: z - h(mean) - H (x - mean).
+
+    Attributes:
+        mean: (n,) predicted.
+        vehicle: the vehicle's components; see ``Density``.
+        start: (C + 1,) where the components' blocks begin; see ``Density``.
+        likelihoods: Jacobians and innovations of the sources.
+        observed: J paths.
+    """
+
+    mean: FloatArray
+    vehicle: Components
+    start: IntArray
+    likelihoods: Likelihoods
+    observed: Observed
+
+
+@jit_inline
+def predict_path(
+    about: Linearised,
+    mean: FloatArray,
+    source: int,
+    path: int,
+    covariance: FloatArray,
+    w: FloatArray,
+) -> FloatArray:
+    """H P of a source, (6, n) into w, zero where the path has nothing; its innovation (6,) there.
+
+    Args:
+        about: where h was linearised.
+        mean: (n,) by now.
+        source: 0 the BS, m component m - 1.
+        path: that is given to it.
+        covariance: (n, n) P.
+        w: (6, n) result.
+    """
+    a, b = about.likelihoods.ue_jacobian, about.likelihoods.landmark_jacobian
+    used, prior, n = about.observed.used, about.mean, len(mean)
+    z_less_h, start = about.likelihoods.innovation, about.start
+    innovation = np.empty(DIM)
+    for c in range(DIM):
+        innovation[c] = z_less_h[source, path, c]
+        if not used[path, c]:
+            for j in range(n):
+                w[c, j] = 0.0
+            continue
+        for i in range(len(about.vehicle)):
+            innovation[c] -= a[source, c, i] * (mean[i] - prior[i])
+        if source == BS_ID:
+            rows_in_pairs(a, source, c, covariance, about.vehicle, w, n)
+            continue
+        first, size = block_of(start, source)
+        for i in range(size):
+            innovation[c] -= b[source, c, i] * (mean[first + i] - prior[first + i])
+        rows_of_source(a, b, source, c, covariance, about.vehicle, first, size, w, n)
+    return innovation
 
 
 @jit
-def project(
+def rows_of_source(
+    a: FloatArray,
+    b: FloatArray,
+    source: int,
+    c: int,
+    covariance: FloatArray,
+    vehicle: Components,
+    first: int,
+    size: int,
+    w: FloatArray,
+    n: int,
+) -> None:
+    """w[c] = A[c] P[vehicle] + B[c] P[landmark's block], the first n numbers."""
+    for j in range(n):
+        total = 0.0
+        for i in range(len(vehicle)):
+            total += a[source, c, i] * covariance[i, j]
+        w[c, j] = total
+    # A loop of its own: of fewer arrays the compiler can tell that they do not overlap.
+    for j in range(n):
+        total = 0.0
+        for i in range(size):
+            total += b[source, c, i] * covariance[first + i, j]
+        w[c, j] += total
+
+
+@jit
+def rows_in_pairs(
+    a: FloatArray,
+    source: int,
+    c: int,
+    covariance: FloatArray,
+    vehicle: Components,
+    w: FloatArray,
+    n: int,
+) -> None:
+    """w[c] = A[c] P[vehicle], the first n numbers, summed in pairs."""
+    for j in range(n):
+        total = 0.0
+        for i in range(0, len(vehicle) - 1, 2):
+            total += a[source, c, i] * covariance[i, j] + a[source, c, i + 1] * covariance[i + 1, j]
+        for i in range(len(vehicle) - len(vehicle) % 2, len(vehicle)):
+            total += a[source, c, i] * covariance[i, j]
+        w[c, j] = total
+
+
+@jit_inline
+def innovation_covariance(
+    about: Linearised, source: int, path: int, w: FloatArray, s: FloatArray
+) -> None:
+    """S = R + (H P) H', its lower triangle into s (6, 6), for w (6, n) = H P."""
+    a, b = about.likelihoods.ue_jacobian, about.likelihoods.landmark_jacobian
+    used, noise = about.observed.used, about.observed.noise
+    first, size = block_of(about.start, source)
+    for c in range(DIM):
+        for other in range(c + 1):
+            s[c, other] = noise[path, c, other]
+            if not (used[path, c] and used[path, other]):
+                continue
+            for j in range(len(about.vehicle)):
+                s[c, other] += w[c, j] * a[source, other, j]
+            if source != BS_ID:
+                for j in range(size):
+                    s[c, other] += w[c, first + j] * b[source, other, j]
+
+
+@jit
+def update_by_path(
+    about: Linearised,
     mean: FloatArray,
-    prior: FloatArray,
     covariance: FloatArray,
     gains: FloatArray,
     chain: IntArray,
     source: int,
     path: int,
-    evidence: Likelihoods,
-    observed: Observed,
     w: FloatArray,
 ) -> float:
-    """The update by one path: moves the mean and finds W of P <- P - W'W.
+    """The update by one path: mean + P H' S^-1 v, and W = L^-1 H P of P - W'W, where S = L L'.
 
     Args:
+        about: where h was linearised.
         mean: (n,) so far, moved.
-        prior: (n,) where h was linearised.
         covariance: (n, n) before the updates of the chain.
         gains: (B, 6, n) W of updates.
         chain: those that come before this one and are not in the covariance yet.
         source: 0 the BS, m component m - 1.
         path: that is given to it.
-        evidence: of the sources.
-        observed: the paths.
-        w: (6, n) result: L^-1 H P with S = L L', zero where the path has nothing.
+        w: (6, n) result: W, zero where the path has nothing.
 
     Returns:
         v' S^-1 v of the innovation v given the paths before, so that the sum over a hypothesis is
         that of all its paths jointly; NaN where S is not positive definite.
     """
-    # Arrays and indices, not views: each view costs more than what is read through it.
-    a, b, used = evidence.ue_jacobian, evidence.landmark_jacobian, observed.used
-    column, n = UE + 3 * (source - 1), len(mean)
-    s, v, f = np.empty((DIM, DIM)), np.empty(DIM), np.empty((DIM, DIM))
-    for c in range(DIM):
-        v[c] = evidence.innovation[source, path, c]
-        for other in range(c + 1):
-            s[c, other] = observed.noise[path, c, other]
-        if not used[path, c]:
-            for j in range(n):
-                w[c, j] = 0.0
-            continue
-        a0, a1, a2, a3 = a[source, c, 0], a[source, c, 1], a[source, c, 2], a[source, c, 3]
-        for i in range(UE):
-            v[c] -= a[source, c, i] * (mean[i] - prior[i])
-        if source == 0:
-            for j in range(n):
-                w[c, j] = (a0 * covariance[0, j] + a1 * covariance[1, j]) + (
-                    a2 * covariance[2, j] + a3 * covariance[3, j]
-                )
-            continue
-        b0, b1, b2 = b[source, c, 0], b[source, c, 1], b[source, c, 2]
-        for i in range(3):
-            v[c] -= b[source, c, i] * (mean[column + i] - prior[column + i])
-        for j in range(n):
-            w[c, j] = (
-                a0 * covariance[0, j]
-                + a1 * covariance[1, j]
-                + a2 * covariance[2, j]
-                + a3 * covariance[3, j]
-            ) + (
-                b0 * covariance[column, j]
-                + b1 * covariance[column + 1, j]
-                + b2 * covariance[column + 2, j]
-            )
+    v = predict_path(about, mean, source, path, covariance, w)
+    s, taken = np.empty((DIM, DIM)), np.empty((DIM, DIM))
+    used, n = about.observed.used, len(mean)
     for before in chain:
-        multiply_gain(gains, before, a, b, source, f)
+        gain_of_source(gains, before, about, source, taken)
         for c in range(DIM):
             if used[path, c]:
-                subtract_rows(gains, before, f, c, w, c, n)
-    for c in range(DIM):
-        if not used[path, c]:
-            continue
-        for other in range(c + 1):
-            if not used[path, other]:
-                continue
-            for j in range(UE):
-                s[c, other] += w[c, j] * a[source, other, j]
-            if source > 0:
-                for j in range(3):
-                    s[c, other] += w[c, column + j] * b[source, other, j]
+                subtract_rows(gains, before, taken, c, w, c, n)
+    innovation_covariance(about, source, path, w, s)
     if not cholesky(s, len(s)):
         return np.nan
     forward_columns(s, w, len(s))
@@ -117,29 +226,21 @@ def project(
 
 
 @jit
-def multiply_gain(
-    gains: FloatArray, update: int, a: FloatArray, b: FloatArray, source: int, f: FloatArray
+def gain_of_source(
+    gains: FloatArray, update: int, about: Linearised, source: int, taken: FloatArray
 ) -> None:
-    """H W' of a source and an update, so that f W is what the update has taken from H P.
-
-    Args:
-        gains: (B, 6, n) W of the updates.
-        update: which of them.
-        a: (C + 1, 6, 4) Jacobians by the vehicle.
-        b: (C + 1, 6, 3) by the components.
-        source: whose.
-        f: (6, 6) result.
-    """
-    column = UE + 3 * (source - 1)
+    """H W' of a source and an update into taken (6, 6): H P has lost taken W by that update."""
+    a, b = about.likelihoods.ue_jacobian, about.likelihoods.landmark_jacobian
+    first, size = block_of(about.start, source)
     for c in range(DIM):
         for k in range(DIM):
             total = 0.0
-            for i in range(UE):
+            for i in range(len(about.vehicle)):
                 total += a[source, c, i] * gains[update, k, i]
-            if source > 0:
-                for i in range(3):
-                    total += b[source, c, i] * gains[update, k, column + i]
-            f[c, k] = total
+            if source != BS_ID:
+                for i in range(size):
+                    total += b[source, c, i] * gains[update, k, first + i]
+            taken[c, k] = total
 
 
 @jit
@@ -167,189 +268,72 @@ def work_in(covariance: FloatArray, gains: FloatArray, count: int) -> None:
             covariance[j, i] = covariance[i, j]
 
 
-@jit
-def by_agreement(source: IntArray) -> tuple[IntArray, int]:
-    """(J,) the paths, those first which many of the hypotheses (H, J) treat as the first one does.
-
-    What most agree on comes first, so that they share it; with how many all agree on.
-    """
-    rows, paths = source.shape
-    agree = np.zeros(paths, np.int64)
-    for h in range(rows):
-        for j in range(paths):
-            agree[j] += source[h, j] == source[0, j]
-    order, common = np.empty(paths, np.int64), 0
-    for j in range(paths):
-        common += agree[j] == rows
-        at = j
-        while at > 0 and agree[order[at - 1]] < agree[j]:
-            order[at] = order[at - 1]
-            at -= 1
-        order[at] = j
-    return order, common
-
-
-@jit
-def in_order(source: IntArray, order: IntArray) -> tuple[IntArray, IntArray]:
-    """The hypotheses (H, J) sorted by their sources of the paths in some order.
-
-    Returns:
-        (H,) which comes when, and (H,) how many paths in order each has in common with the one
-        before.
-    """
-    rows, paths = source.shape
-    sequence, common = np.empty(rows, np.int64), np.zeros(rows, np.int64)
-    for h in range(rows):
-        at = h
-        while at > 0:
-            before, depth = sequence[at - 1], 0
-            while depth < paths and source[before, order[depth]] == source[h, order[depth]]:
-                depth += 1
-            if depth == paths or source[before, order[depth]] < source[h, order[depth]]:
-                break
-            sequence[at] = before
-            at -= 1
-        sequence[at] = h
-    for at in range(1, rows):
-        one, other = sequence[at - 1], sequence[at]
-        while common[at] < paths and (
-            source[one, order[common[at]]] == source[other, order[common[at]]]
-        ):
-            common[at] += 1
-    return sequence, common
-
-
 @jit_inline
 def agreed_update(
-    mean: FloatArray,
-    covariance: FloatArray,
-    evidence: Likelihoods,
-    observed: Observed,
-    source: IntArray,
-    order: IntArray,
+    about: Linearised, covariance: FloatArray, source: IntArray, order: IntArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """Mean, covariance and squared distance after some paths, given to one source (J,) each."""
-    moved, left, distance = mean.copy(), covariance.copy(), 0.0
-    block, numbers = np.empty((BLOCK, DIM, len(mean))), np.arange(BLOCK)
+    moved, left, distance = about.mean.copy(), covariance.copy(), 0.0
+    gains, numbers = np.empty((BATCH, DIM, len(moved))), np.arange(BATCH)
     at = 0
     while at < len(order):
         filled = 0
-        while filled < BLOCK and at < len(order):
+        while filled < BATCH and at < len(order):
             path = order[at]
             at += 1
             if source[path] == NONE:
                 continue
-            distance += project(
-                moved,
-                mean,
-                left,
-                block,
-                numbers[:filled],
-                source[path],
-                path,
-                evidence,
-                observed,
-                block[filled],
-            )
+            chain, w = numbers[:filled], gains[filled]
+            distance += update_by_path(about, moved, left, gains, chain, source[path], path, w)
             filled += 1
-        work_in(left, block, filled)
+        work_in(left, gains, filled)
     return moved, left, distance
 
 
 @jit_inline
-def condition(
-    mean: FloatArray,
-    covariance: FloatArray,
-    evidence: Likelihoods,
-    observed: Observed,
-    source: IntArray,
-) -> Updated:
+def condition(about: Linearised, covariance: FloatArray, source: IntArray) -> Updated:
     """One joint EKF update of [s; q_1 ... q_C] per hypothesis.
 
     Args:
-        mean: (n,) predicted; there may be components behind those that the evidence is of.
-        covariance: (n, n).
-        evidence: of the sources.
-        observed: J paths.
+        about: predicted; there may be components behind those that the likelihoods are of.
+        covariance: (n, n) predicted.
         source: (H, J) source of each path under each hypothesis, or NONE.
     """
-    rows, paths = source.shape
+    hypotheses, paths = source.shape
     order, agreed = by_agreement(source)
     sequence, common = in_order(source, order)
-    trunk, left, distance = agreed_update(
-        mean, covariance, evidence, observed, source[0], order[:agreed]
-    )
-    count = 0
-    for at in range(rows):
+    trunk, left, distance = agreed_update(about, covariance, source[0], order[:agreed])
+    n, count = len(about.mean), 0
+    for at in range(hypotheses):
         for depth in range(common[at] if at > 0 else agreed, paths):
             count += source[sequence[at], order[depth]] != NONE
-    first, last = np.zeros(count, np.int64), np.full(count, rows)
-    gains, behind = np.empty((count, DIM, len(mean))), np.empty((count, len(mean)))
-    distances = np.empty(count)
-    place, means, nis = np.empty(rows, np.int64), np.empty((rows, len(mean))), np.empty(rows)
+    first, last = np.zeros(count, np.int64), np.full(count, hypotheses)
+    gains, behind, distances = np.empty((count, DIM, n)), np.empty((count, n)), np.empty(count)
+    rank, means = np.empty(hypotheses, np.int64), np.empty((hypotheses, n))
+    nis = np.empty(hypotheses)
     # The branches on the way of the current hypothesis, and the depth of each.
     chain, depths, length = np.empty(paths, np.int64), np.empty(paths, np.int64), 0
-    branch = 0
-    for at in range(rows):
-        row = sequence[at]
-        start = common[at] if at > 0 else agreed
+    branch, definite = 0, True
+    for at in range(hypotheses):
+        h, start = sequence[at], common[at] if at > 0 else agreed
         while length > 0 and depths[length - 1] >= start:
             length -= 1
             last[chain[length]] = at
-        place[row] = at
-        for j in range(len(mean)):
-            means[row, j] = behind[chain[length - 1], j] if length > 0 else trunk[j]
-        nis[row] = distances[chain[length - 1]] if length > 0 else distance
+        rank[h] = at
+        for j in range(n):
+            means[h, j] = behind[chain[length - 1], j] if length > 0 else trunk[j]
+        nis[h] = distances[chain[length - 1]] if length > 0 else distance
         for depth in range(start, paths):
             path = order[depth]
-            if source[row, path] == NONE:
+            if source[h, path] == NONE:
                 continue
-            nis[row] += project(
-                means[row],
-                mean,
-                left,
-                gains,
-                chain[:length],
-                source[row, path],
-                path,
-                evidence,
-                observed,
-                gains[branch],
-            )
-            for j in range(len(mean)):
-                behind[branch, j] = means[row, j]
-            distances[branch], first[branch] = nis[row], at
+            so_far, w = chain[:length], gains[branch]
+            nis[h] += update_by_path(about, means[h], left, gains, so_far, source[h, path], path, w)
+            for j in range(n):
+                behind[branch, j] = means[h, j]
+            distances[branch], first[branch] = nis[h], at
             chain[length], depths[length] = branch, depth
             length += 1
             branch += 1
-    sound = True
-    for h in range(rows):
-        sound = sound and nis[h] >= 0.0
-    return Updated(left, means, nis, place, first, last, gains, sound)
-
-
-class Updated(NamedTuple):
-    """The joint Gaussian under each of H hypotheses, in a form that they share.
-
-    The updates by paths that all of them give to the same source are in ``covariance``. Each of
-    the others is a branch: a run of hypotheses, taken in some order, with it has W'W less.
-
-    Attributes:
-        covariance: (n, n) P, before the branches.
-        means: (H, n).
-        nis: (H,) normalised innovation squared of all paths that are given away, jointly.
-        place: (H,) of each hypothesis in the order of the runs.
-        first: (B,) first place of the run of each branch.
-        last: (B,) one beyond its last place.
-        gains: (B, 6, n) W.
-        sound: whether the arithmetic went well.
-    """
-
-    covariance: FloatArray
-    means: FloatArray
-    nis: FloatArray
-    place: IntArray
-    first: IntArray
-    last: IntArray
-    gains: FloatArray
-    sound: bool
+        definite = definite and nis[h] >= 0.0
+    return Updated(left, means, nis, rank, first, last, gains, definite)

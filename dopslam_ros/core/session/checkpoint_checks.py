@@ -19,7 +19,7 @@ from dopslam_ros.core.session.checkpoint import (
     Checkpoint,
     CheckpointError,
 )
-from dopslam_ros.core.settings.layout import UE, UNKNOWN_TYPES
+from dopslam_ros.core.settings.layout import UNKNOWN_TYPES
 
 # Nothing that is estimated is farther away [m], in any unit.
 LARGEST = 1e9
@@ -57,7 +57,7 @@ def check_checkpoint(saved: Checkpoint) -> None:
         check_state(state, saved.parameters)
     if saved.kind == MAP:
         best = saved.mixture.best
-        vehicle = best.mean[:UE].any() or best.covariance[:UE].any()
+        vehicle = best.ue_mean.any() or best.covariance[: best.start[0]].any()
         _need(len(weight) == 1 and not vehicle, "a map has no vehicle")
     if saved.known is not None:
         fits = saved.kind == SNAPSHOT and saved.known.kind == MAP
@@ -69,8 +69,8 @@ def check_state(state: FilterState, parameters: Mapping[str, Any]) -> None:
     """The same for one density; ``parameters`` of the filter that made it."""
     components, tracks = len(state.component_track), len(state.track_id)
     shapes: dict[str, tuple[int, ...]] = {
-        "mean": (UE + 3 * components,),
-        "covariance": (UE + 3 * components, UE + 3 * components),
+        "mean": (int(state.start[-1]),),
+        "covariance": (int(state.start[-1]), int(state.start[-1])),
         "origin": (components, 3),
         "axes": (components, 3, 3),
         "component_track": (components,),

@@ -30,7 +30,7 @@ from dopslam_ros.core.pmb.density import Density, Undetected
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks
 from dopslam_ros.core.session.checkpoint import Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_checks import check_checkpoint
-from dopslam_ros.core.settings.layout import LANDMARK_SIZES, UE
+from dopslam_ros.core.settings.layout import ANGLES, LANDMARK_SIZES
 
 Array = FloatArray | IntArray
 Buffer = bytes | Array
@@ -44,8 +44,10 @@ MOST_HEADER_BYTES = 1 << 24
 _PREFIX = struct.Struct("<8sIIQ")
 _START = _PREFIX.size + hashlib.sha256().digest_size
 _TYPES: Mapping[str, Any] = {"<f8": np.float64, "<i8": np.int64}
+# What is no array, or follows from others.
+_KNOWN = ("vehicle", "start", "undetected", "next_id")
 # What is an array of its own.
-_DENSITY = tuple(n for n in Density._fields if n not in ("start", "undetected", "next_id"))
+_DENSITY = tuple(n for n in Density._fields if n not in _KNOWN)
 # Shape of what belongs to one inactive landmark; A anchors.
 _INACTIVE: Mapping[str, tuple[int, ...]] = {
     "track_id": (),
@@ -223,8 +225,8 @@ def _state(arrays: Arrays, prefix: str) -> FilterState:
     cells, (widest,) = take("cells").tolist(), take("widest").tolist()
     flat = {name: take(f"asleep/{name}") for name in _INACTIVE} if cells else {}
     sizes = np.array(LANDMARK_SIZES)[own["component_type"]]
-    start = np.cumsum([UE, *sizes])
-    density = Density(**own, start=start, undetected=undetected, next_id=next_id)
+    start = np.cumsum([len(ANGLES), *sizes])
+    density = Density(**own, vehicle=ANGLES, start=start, undetected=undetected, next_id=next_id)
     return FilterState(density, InactiveGrid(_cells(cells, flat), widest))
 
 

@@ -164,7 +164,10 @@ class FilterSession(ControlledFilter):
 
 
 def _sound(state: Mixture) -> bool:
-    return all(is_gaussian(one.density.mean, one.density.covariance) for one in state.hypotheses)
+    return all(
+        is_gaussian(one.density.mean, one.density.covariance, int(one.start[0]))
+        for one in state.hypotheses
+    )
 
 
 def _without_doppler(measurements: MeasurementSet) -> MeasurementSet:

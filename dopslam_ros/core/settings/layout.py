@@ -7,7 +7,7 @@ ones stand that the models of motion and channel know.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 
 class Component(NamedTuple):
@@ -36,6 +36,11 @@ VEHICLE = (
 )
 X, Y, HEADING, CLOCK_BIAS = range(4)
 UE = len(VEHICLE)
+
+# Which components of a vehicle are angles. Compiled functions know the length of a tuple, and so the
+# number of components: they are compiled once for each.
+Components: TypeAlias = tuple[bool, ...]
+ANGLES: Components = tuple(component.angle for component in VEHICLE)
 
 # What is measured of a path, z in eq. (3).
 PATH = (
@@ -66,6 +71,11 @@ class LandmarkType(IntEnum):
 UNKNOWN_TYPES = (VA, SP)
 # How many numbers the block of a landmark has in the joint vector, by its type.
 LANDMARK_SIZES = (0, 3, 3)
+LARGEST_LANDMARK = max(LANDMARK_SIZES)
+# Whether all blocks are alike, so that compiled loops over them have a length that is known.
+ALIKE = len({size for size in LANDMARK_SIZES if size}) == 1
+# Dimensions of a position, whatever else a landmark has.
+SPACE = 3
 
 # In the place of an index or an id: no source, no track, no landmark.
 NONE = -1

@@ -296,13 +296,13 @@ def _place_vehicle(covariance: FloatArray, pairs: _Pairs, gamma: int) -> _Vehicl
     gain = pairs.log_weights(np.zeros((len(paths), UE)), predicted)
     # A Poisson component without a path costs nothing; the BS, which surely exists, was missed.
     gain[0] -= np.log(np.maximum(1.0 - pairs.detection[0], np.exp(LOG_TINY)))
-    ranked = k_best_assignments(-gain.T, -pairs.log_new, gamma)
-    weight = np.exp(-ranked.costs - logsumexp(-ranked.costs))
+    association = k_best_assignments(-gain.T, -pairs.log_new, gamma)
+    weight = np.exp(-association.costs - logsumexp(-association.costs))
 
     right = np.concatenate([pairs.by_ue, pairs.innovation[..., None]], axis=-1)
     information = np.swapaxes(pairs.by_ue, -1, -2) @ np.linalg.solve(pairs.noise, right)
-    taken = (ranked.columns != NONE)[:, :, None, None]
-    added = np.where(taken, information[ranked.columns, paths], 0.0)
+    taken = (association.columns != NONE)[:, :, None, None]
+    added = np.where(taken, information[association.columns, paths], 0.0)
     # Of all paths but one without a difference, which would cancel: those before plus those after.
     padded = np.pad(added, ((0, 0), (1, 1), (0, 0), (0, 0)))
     before = np.cumsum(padded[:, :-1], axis=1)

@@ -21,7 +21,7 @@ from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.settings.layout import NONE
 
 _associate = from_python(kernels.associate)
-weigh_locally = from_python(kernels.weigh_locally)
+local_weights = from_python(kernels.local_weights)
 
 PARAMETERS = FilterParameters(gamma=1000)
 
@@ -75,15 +75,15 @@ def test_all_associations_have_their_share(seed: int) -> None:
     rng = np.random.default_rng(seed)
     tracks, paths = [1] * int(rng.integers(0, 3)), int(rng.integers(1, 4))
     weights = weights_of(rng, tracks, paths)
-    ranked = associate(state_of(tracks), weights, PARAMETERS)
+    association = associate(state_of(tracks), weights, PARAMETERS)
     truth = every_association(weights)
     total = sum(truth.values())
-    assert len(ranked.weight) == len(truth)
-    for columns, weight in zip(ranked.track.tolist(), ranked.weight, strict=True):
+    assert len(association.weight) == len(truth)
+    for columns, weight in zip(association.track.tolist(), association.weight, strict=True):
         assert weight == pytest.approx(truth[tuple(columns)] / total, rel=1e-9)
-    assert np.all(np.diff(ranked.weight) <= 1e-12)
-    assert ranked.weight.sum() == pytest.approx(1.0)
-    np.testing.assert_array_equal(ranked.track, ranked.source)  # one component per track
+    assert np.all(np.diff(association.weight) <= 1e-12)
+    assert association.weight.sum() == pytest.approx(1.0)
+    np.testing.assert_array_equal(association.track, association.source)  # one component per track
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -91,12 +91,14 @@ def test_landmarks_of_open_type_split_an_association_by_type(seed: int) -> None:
     rng = np.random.default_rng(seed)
     tracks = [2, 1, 2]
     weights = weights_of(rng, tracks, 3)
-    ranked = associate(state_of(tracks), weights, PARAMETERS)
+    association = associate(state_of(tracks), weights, PARAMETERS)
     truth = every_association(weights)
     total = sum(truth.values())
     owner = np.array([0, 1, 1, 2, 3, 3])
     summed: dict[tuple[int, ...], float] = {}
-    for columns, sources, weight in zip(ranked.track, ranked.source, ranked.weight, strict=True):
+    for columns, sources, weight in zip(
+        association.track, association.source, association.weight, strict=True
+    ):
         given = sources != NONE
         np.testing.assert_array_equal(owner[sources[given]], columns[given])
         assert np.all(columns[~given] == NONE)
@@ -154,21 +156,21 @@ def open_types(shares: list[float]) -> tuple[FilterState, LocalWeights]:
 def test_the_least_clear_types_split_and_the_others_are_the_likeliest() -> None:
     shares = [0.01, 0.4, 0.3, 0.02, 0.45, 0.2]
     state, weights = open_types(shares)
-    ranked = associate(state, weights, replace(PARAMETERS, gamma=16))
-    second = ranked.source - 2 * np.arange(6) - 1
+    association = associate(state, weights, replace(PARAMETERS, gamma=16))
+    second = association.source - 2 * np.arange(6) - 1
     assert set(second.ravel().tolist()) == {0, 1}
     np.testing.assert_array_equal(second.any(axis=0), [False, True, True, False, True, True])
     assert len(np.unique(second, axis=0)) == 16
     expected = np.prod(np.where(second[:, [1, 2, 4, 5]], [0.4, 0.3, 0.45, 0.2], 1.0), axis=1)
     expected *= np.prod(np.where(second[:, [1, 2, 4, 5]], 1.0, [0.6, 0.7, 0.55, 0.8]), axis=1)
-    np.testing.assert_allclose(ranked.weight, np.sort(expected)[::-1])
-    np.testing.assert_allclose(ranked.weight, expected)
+    np.testing.assert_allclose(association.weight, np.sort(expected)[::-1])
+    np.testing.assert_allclose(association.weight, expected)
 
 
 def test_a_type_with_next_to_no_share_gets_no_hypothesis() -> None:
     state, weights = open_types([0.9e-3, 1.1e-3])
-    ranked = associate(state, weights, replace(PARAMETERS, gamma=4))
-    paths_given = ranked.source[(ranked.track == [1, 2]).all(axis=1)]
+    association = associate(state, weights, replace(PARAMETERS, gamma=4))
+    paths_given = association.source[(association.track == [1, 2]).all(axis=1)]
     np.testing.assert_array_equal(paths_given, [[1, 3], [1, 4]])
 
 
@@ -194,21 +196,21 @@ def test_local_weights_of_what_is_sure_or_impossible() -> None:
         np.full((2, 2), -np.inf),
     )
     constants = replace(PARAMETERS, clutter_mean=0.0).constants
-    weights = weigh_locally(state.density, observed, fit, none, constants)
+    weights = local_weights(state.density, observed, fit, none, constants)
     np.testing.assert_array_equal(weights.missed, [LOG_TINY, 0.0, LOG_TINY, 0.0])
     np.testing.assert_array_equal(weights.new, [LOG_TINY, LOG_TINY])
     np.testing.assert_array_equal(weights.source[:, 0], [0.0, -np.inf, 0.0, -np.inf, -np.inf])
     np.testing.assert_array_equal(weights.track[:, 0], [0.0, -np.inf, 0.0, -np.inf])
     assert np.all(weights.source[:, 1] == -np.inf) and np.all(weights.track[:, 1] == -np.inf)
-    ranked = associate(state, weights, PARAMETERS)
-    assert np.isfinite(ranked.weight).all() and ranked.weight.sum() == pytest.approx(1.0)
+    association = associate(state, weights, PARAMETERS)
+    assert np.isfinite(association.weight).all() and association.weight.sum() == pytest.approx(1.0)
 
 
 def test_no_paths_is_one_hypothesis() -> None:
     weights = weights_of(np.random.default_rng(0), [1, 2], 0)
-    ranked = associate(state_of([1, 2]), weights, PARAMETERS)
-    assert ranked.track.shape == ranked.source.shape == (1, 0)
-    assert ranked.weight.tolist() == [1.0]
+    association = associate(state_of([1, 2]), weights, PARAMETERS)
+    assert association.track.shape == association.source.shape == (1, 0)
+    assert association.weight.tolist() == [1.0]
 
 
 def extreme(value: float) -> FloatArray:
@@ -220,5 +222,5 @@ def test_extreme_weights_do_not_overflow(value: float) -> None:
     weights = LocalWeights(
         extreme(value), extreme(value), np.array([-700.0]), np.array([-700.0, -700.0])
     )
-    ranked = associate(state_of([]), weights, PARAMETERS)
-    assert np.isfinite(ranked.weight).all() and ranked.weight.sum() == pytest.approx(1.0)
+    association = associate(state_of([]), weights, PARAMETERS)
+    assert np.isfinite(association.weight).all() and association.weight.sum() == pytest.approx(1.0)

@@ -25,7 +25,7 @@ from dopslam_ros.core.pmb.observed import gaussian_terms, prepare
 from dopslam_ros.core.settings.layout import DIM
 
 _weigh = from_python(kernels.weigh)
-weigh_locally = from_python(hypotheses_kernels.weigh_locally)
+local_weights = from_python(hypotheses_kernels.local_weights)
 
 PARAMETERS = FilterParameters(gate_probability=1.0 - 1e-12)
 SPEED = 22.22
@@ -40,12 +40,12 @@ MASKS = [
 ]
 
 
-def weigh(
+def local_likelihoods(
     state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
 ) -> Likelihoods:
     """The evidence that a step has."""
-    fit, sound = _weigh(state.density, observed, speed, parameters.constants)
-    assert sound
+    fit, definite = _weigh(state.density, observed, speed, parameters.constants)
+    assert definite
     return fit
 
 
@@ -57,7 +57,7 @@ def local_weights(
     parameters: FilterParameters,
 ) -> LocalWeights:
     """The local weights that a step has."""
-    return weigh_locally(state.density, observed, fit, births, parameters.constants)
+    return local_weights(state.density, observed, fit, births, parameters.constants)
 
 
 def two_track_state(seed: int = 0) -> FilterState:
@@ -138,7 +138,7 @@ def density(
 def test_likelihoods_are_densities_of_what_was_measured(seed: int) -> None:
     state = two_track_state(seed)
     measurements = paths_near(state, MASKS, seed)
-    fit = weigh(state, prepare(measurements, PARAMETERS), SPEED, PARAMETERS)
+    fit = local_likelihoods(state, prepare(measurements, PARAMETERS), SPEED, PARAMETERS)
     for source in range(4):
         for path, mask in enumerate(MASKS):
             expected, distance = density(state, measurements, source, path)
@@ -154,7 +154,9 @@ def test_likelihoods_are_densities_of_what_was_measured(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_jacobians_are_those_of_the_joint_vector(seed: int) -> None:
     state = two_track_state(seed)
-    fit = weigh(state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
+    fit = local_likelihoods(
+        state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS
+    )
     _, rows = sources_of(state)
     np.testing.assert_allclose(fit.ue_jacobian, rows[:, :, :4], atol=2e-6)
     for source in range(1, 4):
@@ -168,7 +170,9 @@ def test_a_young_landmark_foresees_its_next_path() -> None:
     q = state.placements
     std = np.concatenate([[0.3, 0.3, 0.005, 0.3], *([0.1, 8.0 / r, 8.0 / r] for r in q[:, 0])])
     state = state.but(covariance=np.diag(std**2))
-    fit = weigh(state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
+    fit = local_likelihoods(
+        state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS
+    )
     drawn = np.random.default_rng(0).multivariate_normal(state.mean, state.covariance, 4000)
     lengths = np.array([h(state, mean)[1, 0] for mean in drawn])  # of the VA
     row = np.concatenate([fit.ue_jacobian[1, 0], fit.landmark_jacobian[1, 0]])
@@ -191,7 +195,7 @@ def test_local_weights_against_direct_evaluation(seed: int) -> None:
     state = two_track_state(seed)
     measurements = paths_near(state, MASKS, seed)
     observed = prepare(measurements, PARAMETERS)
-    fit = weigh(state, observed, SPEED, PARAMETERS)
+    fit = local_likelihoods(state, observed, SPEED, PARAMETERS)
     weights = local_weights(state, observed, fit, no_births(len(MASKS), -5.0), PARAMETERS)
     r, u = [1.0, 0.8, 0.95], [[1.0], [0.7, 0.3], [1.0]]
     sources = [[0], [1, 2], [3]]
@@ -218,12 +222,16 @@ def test_local_weights_against_direct_evaluation(seed: int) -> None:
 
 def test_detection_probabilities_of_sps_fade_at_the_edge_of_the_field_of_view() -> None:
     state = two_track_state()
-    fit = weigh(state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
+    fit = local_likelihoods(
+        state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS
+    )
     assert fit.detection[:2].tolist() == [0.9, 0.9]  # BS and VA
     # The SP is 30 m away. Sampling tells how often one drawn at the edge is inside.
     assert fit.detection[2] == pytest.approx(0.9, abs=1e-6)
     edge = with_sp_at(state, [70.0 + 49.0, 1.0, 5.0])
-    p_d = weigh(edge, prepare(paths_near(edge, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
+    p_d = local_likelihoods(
+        edge, prepare(paths_near(edge, MASKS, 0), PARAMETERS), SPEED, PARAMETERS
+    )
     inside = share_inside(edge, 20_000)
     assert 0.2 < inside < 0.95
     assert p_d.detection[2] == pytest.approx(0.9 * inside, abs=0.02)
@@ -236,7 +244,9 @@ def test_what_vehicle_and_sp_have_in_common_does_not_blur_the_edge(correlation: 
     covariance[[0, 7], [0, 7]] = 9.0  # both 3 m unsure along the line between them
     covariance[0, 7] = covariance[7, 0] = 9.0 * correlation
     state = state.but(covariance=covariance)
-    fit = weigh(state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS)
+    fit = local_likelihoods(
+        state, prepare(paths_near(state, MASKS, 0), PARAMETERS), SPEED, PARAMETERS
+    )
     assert fit.detection[2] == pytest.approx(0.9 * share_inside(state, 40_000), abs=0.02)
 
 
@@ -265,7 +275,7 @@ def test_the_gate_drops_what_is_far() -> None:
     values = mean[[0, 0]].copy()
     values[1, 0] += 30.0
     measurements = MeasurementSet(values, np.zeros((2, DIM, DIM)))
-    fit = weigh(state, prepare(measurements, parameters), SPEED, parameters)
+    fit = local_likelihoods(state, prepare(measurements, parameters), SPEED, parameters)
     assert np.isfinite(fit.log_likelihood[0, 0]) and fit.log_likelihood[0, 1] == -np.inf
 
 
@@ -275,7 +285,7 @@ def test_azimuth_innovations_wrap() -> None:
     values = mean[[0]].copy()
     values[0, [1, 3]] += 2.0 * math.pi + 0.01
     measurements = MeasurementSet(values, np.zeros((1, DIM, DIM)))
-    fit = weigh(state, prepare(measurements, PARAMETERS), SPEED, PARAMETERS)
+    fit = local_likelihoods(state, prepare(measurements, PARAMETERS), SPEED, PARAMETERS)
     expected = [0.01, 0.0, 0.01, 0.0, 0.0]
     np.testing.assert_allclose(fit.innovation[0, 0, 1:], expected, atol=1e-9)
 
@@ -301,7 +311,7 @@ def test_a_path_with_nothing_that_is_used_is_clutter() -> None:
     values[0, 5] = 3.0
     state = two_track_state()
     observed = prepare(MeasurementSet(values, np.zeros((1, DIM, DIM))), parameters)
-    fit = weigh(state, observed, SPEED, parameters)
+    fit = local_likelihoods(state, observed, SPEED, parameters)
     assert (fit.log_likelihood == -np.inf).all()
     births = propose(state, observed, SPEED, parameters)
     assert (births.log_intensity == -np.inf).all()

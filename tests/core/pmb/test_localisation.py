@@ -74,9 +74,9 @@ def test_the_update_is_schmidts(learned: FilterState) -> None:
     speed = snapshot.control.speed
     state = advance(with_map(initial_filter_state(KNOWN), learned, KNOWN), [], KNOWN)
     observed = evidence_module.prepare(snapshot.measurements, KNOWN)
-    ranked = rank(state.density, observed, speed, KNOWN.constants)
-    best = ranked.hypotheses
-    source, fit, n = best.source[:1], ranked.evidence, len(state.mean)
+    association = associate_paths(state.density, observed, speed, KNOWN.constants)
+    best = association.hypotheses
+    source, fit, n = best.source[:1], association.likelihoods, len(state.mean)
     assert (source >= 0).sum() > 3
     jacobian, innovation, noise = [], [], []
     for path, m in enumerate(source[0].tolist()):
@@ -110,16 +110,18 @@ def test_the_merge_over_hypotheses_matches_the_moments(learned: FilterState) -> 
     snapshot = next(simulate(SCENARIO, np.random.default_rng(9)))
     state = advance(with_map(initial_filter_state(KNOWN), learned, KNOWN), [], KNOWN)
     observed = evidence_module.prepare(snapshot.measurements, KNOWN)
-    ranked = rank(state.density, observed, snapshot.control.speed, KNOWN.constants)
-    source, before = ranked.hypotheses.source, state.density
+    association = associate_paths(state.density, observed, snapshot.control.speed, KNOWN.constants)
+    source, before = association.hypotheses.source, state.density
     assert len(source) > 2
     weight = np.linspace(1.0, 2.0, len(source))
     weight /= weight.sum()
-    updated = condition(state.mean, state.covariance, ranked.evidence, observed, source)
+    updated = condition(state.mean, state.covariance, association.likelihoods, observed, source)
     each = [
         consider(
             before,
-            condition(state.mean, state.covariance, ranked.evidence, observed, source[h : h + 1]),
+            condition(
+                state.mean, state.covariance, association.likelihoods, observed, source[h : h + 1]
+            ),
             np.ones(1),
             True,
         )

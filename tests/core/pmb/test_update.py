@@ -135,7 +135,7 @@ def test_condition_is_the_linear_kalman_filter(seed: int) -> None:
     observed, fit = linear_problem(rng, state, used)
     source = [[0, 3, NONE, 2], [NONE, 4, 1, 3], [NONE] * 4, [0, 1, 3, 4]]
     updated = condition(state.mean, state.covariance, fit, observed, np.array(source))
-    assert updated.sound
+    assert updated.definite
     for row, sources in enumerate(source):
         mean, covariance = kalman(state, observed, fit, sources)
         found = covariance_under(updated, row)
@@ -205,7 +205,7 @@ def test_condition_says_where_a_covariance_is_not_positive_definite() -> None:
     observed, fit = linear_problem(rng, state, np.ones((1, DIM), dtype=bool))
     for source in ([[1]], [[1], [0]]):
         broken = condition(state.mean, -state.covariance, fit, observed, np.array(source))
-        assert not broken.sound
+        assert not broken.definite
 
 
 def mixture(
@@ -345,8 +345,8 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     births = births_of(rng, np.log([[3e-9, 1e-30, 1e-9], [1e-9, 1e-30, 1e-30]]))
     new = np.log([8e-9, 5e-9, 2e-9])
     track = np.array([[NONE, NONE, NONE], [NONE, 0, 1]])
-    ranked = Hypotheses(track, track, np.array([0.4, 0.6]), 0.0)
-    born = newborn(births.log_intensity, new, ranked, PARAMETERS.prune_existence)
+    association = Hypotheses(track, track, np.array([0.4, 0.6]), 0.0)
+    born = newborn(births.log_intensity, new, association, PARAMETERS.prune_existence)
     density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
     after = FilterState(density, state.inactive)
     assert birth_track.tolist() == [1, NONE, 2]
@@ -392,8 +392,8 @@ def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
     births = births_of(rng, np.log([[1e-9, 1e-9], [1e-30, 1e-30]]))
     new = np.log([4e-9, 4e-9])
     track = np.array([[NONE, NONE], [1, NONE]])
-    ranked = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
-    born = newborn(births.log_intensity, new, ranked, PARAMETERS.prune_existence)
+    association = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
+    born = newborn(births.log_intensity, new, association, PARAMETERS.prune_existence)
     density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
     existence, _ = judge(density, np.full(2, 0.9), birth_track, track)
     np.testing.assert_allclose(existence[:, 1:], [[0.25, 0.25], [0.0, 0.25]])
