@@ -9,13 +9,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dopslam_ros.cli.options import UsageError, write_json
+from dopslam_ros.cli.options import write_json
 from dopslam_ros.core.settings.parameters import unknown_name
 from dopslam_ros.lab.bench.machine import machine
 from dopslam_ros.lab.bench.records import Measured, Record, content_of, read_record
 from dopslam_ros.lab.bench.suite import measure
 from dopslam_ros.lab.bench.table import markdown, text_table
 from dopslam_ros.lab.bench.titles import TITLES
+from dopslam_ros.system.errors import UsageError
 
 
 class Result(NamedTuple):

@@ -28,8 +28,9 @@ from dopslam_ros.cli.commands import (
     watch,
 )
 from dopslam_ros.cli.commands import failure_injection as trouble
-from dopslam_ros.cli.options import UsageError, add_quiet, check_files, nearest_file, silence
+from dopslam_ros.cli.options import add_quiet, check_files, nearest_file, silence
 from dopslam_ros.core.settings.parameters import ParameterError
+from dopslam_ros.system.errors import UsageError
 
 
 class Command(Protocol):

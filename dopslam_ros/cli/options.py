@@ -17,15 +17,12 @@ import yaml
 
 from dopslam_ros.core.settings.parameters import ParameterError, checked_values, parse_assignment
 from dopslam_ros.simulation.scenes import builtin_scenarios
+from dopslam_ros.system.errors import UsageError
 from dopslam_ros.system.files import json_text
 
 T = TypeVar("T")
 # Between two pictures of a progress bar.
 REDRAW_SECONDS = 0.1
-
-
-class UsageError(ValueError):
-    """The command line asks for something that cannot be done; the message says what."""
 
 
 def add_scenario(parser: argparse.ArgumentParser, default: str) -> None:

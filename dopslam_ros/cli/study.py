@@ -7,7 +7,7 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from typing import Any
 
-from dopslam_ros.cli.options import UsageError, read_settings, with_progress, write_json
+from dopslam_ros.cli.options import read_settings, with_progress, write_json
 from dopslam_ros.core.settings.layout import DOPPLER
 from dopslam_ros.lab.study.executors import blas_is_limited, run_local, run_on_dask
 from dopslam_ros.lab.study.folder import open_folder
@@ -18,6 +18,7 @@ from dopslam_ros.lab.study.run import Outcome
 from dopslam_ros.lab.study.summary import summarise_study
 from dopslam_ros.lab.study.table import study_table
 from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.system.errors import UsageError
 
 # Failures told one by one; the rest is in the folder.
 MOST_TOLD = 5

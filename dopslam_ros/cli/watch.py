@@ -17,12 +17,13 @@ from rich.table import Table
 from rich.text import Text
 
 from dopslam_ros.bag import BagReader
-from dopslam_ros.cli.options import UsageError, write_json
+from dopslam_ros.cli.options import write_json
 from dopslam_ros.core.linalg.arrays import wrap_angle
 from dopslam_ros.core.models.refusal import Refused
 from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.messages import topics
 from dopslam_ros.messages.conversion import read_map, read_message, read_ue_state
+from dopslam_ros.system.errors import UsageError
 
 WATCHED = (
     topics.CHANNEL_MEASUREMENTS,

@@ -78,7 +78,7 @@ def test_where_nothing_is_compiled_a_second_process_takes_its_share(
     warm_up_filter(FilterParameters())
     assert warmup.touch_the_rest.__name__ in helper.read_text()
     helper.unlink()
-    (tmp_path / "step.learn-7.py311.nbi").touch()
+    (tmp_path / "step_kernels.slam-7.py311.nbi").touch()
     warm_up_filter(FilterParameters())
     assert not helper.exists()
 

@@ -14,6 +14,11 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+
+if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+    # Plain Python then, as debuggers want it: compiled code divides by zero without a warning, too.
+    np.seterr(all="ignore")
 
 F = TypeVar("F", bound=Callable[..., Any])
 # Nobody calls these by a C function's pointer, which takes the compiler long to prepare.

@@ -21,7 +21,7 @@ from dopslam_ros.core.linalg.arrays import (
 )
 from dopslam_ros.core.linalg.vec import SMALLEST_DISTANCE
 from dopslam_ros.core.models import channel_kernels as kernels
-from dopslam_ros.core.settings.layout import DIM, LandmarkType
+from dopslam_ros.core.settings.layout import DIM, VEHICLE, LandmarkType
 
 
 class Paths(NamedTuple):
@@ -68,13 +68,11 @@ def observe(
     Raises:
         ValueError: the shapes do not fit together.
     """
-    count = len(types)
-    check_shapes(
-        state=(state, (len(state),)), positions=(positions, (count, 3)), bs=(bs_position, (3,))
-    )
+    count, size = len(types), max(len(state), len(VEHICLE))
+    check_shapes(state=(state, (size,)), positions=(positions, (count, 3)), bs=(bs_position, (3,)))
     paths = Paths(
         np.empty((count, DIM)),
-        np.empty((count, DIM, len(state))),
+        np.empty((count, DIM, size)),
         np.empty((count, DIM, 3)),
         np.empty(count, dtype=np.bool_),
         np.empty(count, dtype=np.bool_),

@@ -9,7 +9,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, check_shapes, floats
 from dopslam_ros.core.models import motion_kernels as kernels
-from dopslam_ros.core.settings.layout import HEADING, X, Y
+from dopslam_ros.core.settings.layout import HEADING, VEHICLE, X, Y
 
 
 class Control(NamedTuple):
@@ -91,7 +91,7 @@ def propagate_spans(
     Returns:
         (U,) the state after, (U, U) the Jacobian of the whole motion, (U, U) its process noise.
     """
-    size = len(state)
+    size = max(len(state), len(VEHICLE))
     check_shapes(state=(state, (size,)), noise_rate=(noise_rate, (size,)))
     after, jacobian = np.array(state, dtype=np.float64), np.eye(size)
     noise = np.zeros((size, size))

@@ -108,7 +108,7 @@ def block_of(start: IntArray, source: int) -> tuple[int, int]:
 
 @jit
 def blocks_of(start: IntArray) -> IntArray:
-    """(n,) to which block each number of the joint vector belongs: 0 the vehicle's, m of source m."""
+    """(n,) the block of each number of the joint vector: 0 the vehicle's, m that of source m."""
     block = np.zeros(start[-1], np.int64)
     for c in range(len(start) - 1):
         for i in range(start[c], start[c + 1]):

@@ -53,7 +53,7 @@ class Likelihoods(NamedTuple):
 
     Attributes:
         ue_jacobian: (C + 1, 6, U) A = dh/ds, U components of the vehicle.
-        landmark_jacobian: (C + 1, 6, L) B = dh/dq, zero for the BS; L is the largest block of a landmark.
+        landmark_jacobian: (C + 1, 6, L) B = dh/dq, zero for the BS; L of the largest landmark.
         detection: (C + 1,) p_D.
         innovation: (C + 1, J, 6) z - h, zero where not used.
         log_likelihood: (C + 1, J) ln N(z; h, S); -inf outside the gate.

@@ -347,7 +347,7 @@ def subtract_weighted(
 
 @from_python
 def uncouple(covariance: FloatArray, start: IntArray) -> None:
-    """Zeroes (n, n) between the blocks of vehicle and components, which begin at start, in place."""
+    """Zeroes (n, n) between the blocks of vehicle and components, in place."""
     block = blocks_of(start)
     for i in range(len(block)):
         for j in range(len(block)):

@@ -68,13 +68,15 @@ def check_checkpoint(saved: Checkpoint) -> None:
 def check_state(state: FilterState, parameters: Mapping[str, Any]) -> None:
     """The same for one density; ``parameters`` of the filter that made it."""
     components, tracks = len(state.component_track), len(state.track_id)
+    _array("component_type", state.component_type, (components,), whole=True)
+    # Before all else: the sizes of the blocks follow from the types.
+    _need(bool(np.isin(state.component_type, UNKNOWN_TYPES).all()), "component_type is unknown")
     shapes: dict[str, tuple[int, ...]] = {
         "mean": (int(state.start[-1]),),
         "covariance": (int(state.start[-1]), int(state.start[-1])),
         "origin": (components, 3),
         "axes": (components, 3, 3),
         "component_track": (components,),
-        "component_type": (components,),
         "component_weight": (components,),
         "track_id": (tracks,),
         "existence": (tracks,),
@@ -84,7 +86,6 @@ def check_state(state: FilterState, parameters: Mapping[str, Any]) -> None:
     owner = state.component_track
     steps = np.diff(owner, prepend=-1, append=tracks)
     _need(bool(np.isin(steps, (0, 1)).all()) and steps[-1] == 1, "component_track has gaps")
-    _need(bool(np.isin(state.component_type, UNKNOWN_TYPES).all()), "component_type is unknown")
     _probabilities("existence", state.existence)
     _probabilities("component_weight", state.component_weight)
     of_track = np.bincount(owner, state.component_weight, minlength=tracks)

@@ -37,8 +37,8 @@ VEHICLE = (
 X, Y, HEADING, CLOCK_BIAS = range(4)
 UE = len(VEHICLE)
 
-# Which components of a vehicle are angles. Compiled functions know the length of a tuple, and so the
-# number of components: they are compiled once for each.
+# Which components of a vehicle are angles. The compiler knows the length of a tuple, and so the
+# number of components: functions are compiled once for each.
 Components: TypeAlias = tuple[bool, ...]
 ANGLES: Components = tuple(component.angle for component in VEHICLE)
 

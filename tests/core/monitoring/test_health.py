@@ -1,4 +1,4 @@
-"""Health: definite runs raise no alarm, a vehicle that was moved does, and the map is not spoilt."""
+"""Health: sound runs raise no alarm, a vehicle that was moved does; the map is not spoilt."""
 
 from __future__ import annotations
 

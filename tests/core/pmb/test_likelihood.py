@@ -24,8 +24,8 @@ from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
 from dopslam_ros.core.pmb.observed import gaussian_terms, prepare
 from dopslam_ros.core.settings.layout import DIM
 
-_weigh = from_python(kernels.weigh)
-local_weights = from_python(hypotheses_kernels.local_weights)
+_local_likelihoods = from_python(kernels.local_likelihoods)
+_local_weights = from_python(hypotheses_kernels.local_weights)
 
 PARAMETERS = FilterParameters(gate_probability=1.0 - 1e-12)
 SPEED = 22.22
@@ -43,8 +43,8 @@ MASKS = [
 def local_likelihoods(
     state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
 ) -> Likelihoods:
-    """The evidence that a step has."""
-    fit, definite = _weigh(state.density, observed, speed, parameters.constants)
+    """The local likelihoods that a step has."""
+    fit, definite = _local_likelihoods(state.density, observed, speed, parameters.constants)
     assert definite
     return fit
 
@@ -57,7 +57,7 @@ def local_weights(
     parameters: FilterParameters,
 ) -> LocalWeights:
     """The local weights that a step has."""
-    return local_weights(state.density, observed, fit, births, parameters.constants)
+    return _local_weights(state.density, observed, fit, births, parameters.constants)
 
 
 def two_track_state(seed: int = 0) -> FilterState:
@@ -167,7 +167,7 @@ def test_jacobians_are_those_of_the_joint_vector(seed: int) -> None:
 def test_a_young_landmark_foresees_its_next_path() -> None:
     """0.1 m along the ray and 8 m across: the innovation's covariance holds for samples of it."""
     state = two_track_state()
-    q = state.placements
+    q = state.mean[4:].reshape(-1, 3)
     std = np.concatenate([[0.3, 0.3, 0.005, 0.3], *([0.1, 8.0 / r, 8.0 / r] for r in q[:, 0])])
     state = state.but(covariance=np.diag(std**2))
     fit = local_likelihoods(

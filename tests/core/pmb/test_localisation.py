@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dopslam_ros.core.linalg.arrays import IntArray
 from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.models.motion import ControlSpan
 from dopslam_ros.core.pmb import (
@@ -20,19 +21,31 @@ from dopslam_ros.core.pmb import localisation as localise_kernels
 from dopslam_ros.core.pmb import observed as evidence_module
 from dopslam_ros.core.pmb import update as update_kernels
 from dopslam_ros.core.pmb.known_map import map_of, with_map
+from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
 from dopslam_ros.core.pmb.step import advance
-from dopslam_ros.core.settings.layout import UE
+from dopslam_ros.core.pmb.update import Linearised, Updated
+from dopslam_ros.core.settings.layout import VEHICLE
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.simulation.simulator import Snapshot, simulate
 
 consider = from_python(localise_kernels.consider)
-rank = from_python(step_kernels.rank)
-condition = from_python(update_kernels.condition)
+associate_paths = from_python(step_kernels.associate_paths)
+_condition = from_python(update_kernels.condition)
 
 SCENARIO = load_scenario("paper")
 PARAMETERS = filter_parameters_for(SCENARIO)
 KNOWN = replace(PARAMETERS, mapping=False)
+# The size of the vehicle's block.
+UE = len(VEHICLE)
+
+
+def condition(
+    state: FilterState, fit: Likelihoods, observed: Observed, source: IntArray
+) -> Updated:
+    """The update of a density about its mean."""
+    about = Linearised(state.mean, state.density.vehicle, state.start, fit, observed)
+    return _condition(about, state.covariance, source)
 
 
 def run(
@@ -100,7 +113,7 @@ def test_the_update_is_schmidts(learned: FilterState) -> None:
     joseph = rest @ state.covariance @ rest.T + gain @ r @ gain.T
     mean = state.mean + gain @ np.concatenate(innovation)
 
-    updated = condition(state.mean, state.covariance, fit, observed, source)
+    updated = condition(state, fit, observed, source)
     after = consider(state.density, updated, np.ones(1), True)
     np.testing.assert_allclose(after.mean, mean, atol=1e-9)
     np.testing.assert_allclose(after.covariance, joseph, atol=1e-9)
@@ -115,13 +128,11 @@ def test_the_merge_over_hypotheses_matches_the_moments(learned: FilterState) -> 
     assert len(source) > 2
     weight = np.linspace(1.0, 2.0, len(source))
     weight /= weight.sum()
-    updated = condition(state.mean, state.covariance, association.likelihoods, observed, source)
+    updated = condition(state, association.likelihoods, observed, source)
     each = [
         consider(
             before,
-            condition(
-                state.mean, state.covariance, association.likelihoods, observed, source[h : h + 1]
-            ),
+            condition(state, association.likelihoods, observed, source[h : h + 1]),
             np.ones(1),
             True,
         )
@@ -139,7 +150,7 @@ def test_the_merge_over_hypotheses_matches_the_moments(learned: FilterState) -> 
 
 
 def test_nothing_is_born_and_no_byte_of_the_map_in_view_changes() -> None:
-    """Walls only, so that nothing falls inactive: the map's block stays bit by bit."""
+    """Walls only, so that nothing becomes inactive: the map's block stays bit by bit."""
     walls = replace(
         SCENARIO,
         landmarks=SCENARIO.landmarks[SCENARIO.landmark_types == 1],

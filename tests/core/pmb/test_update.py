@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
+from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
 from dopslam_ros.core.pmb import merge as merge_kernels
@@ -22,18 +22,26 @@ from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.hypotheses import Hypotheses
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
 from dopslam_ros.core.pmb.merge import Conditioned
-from dopslam_ros.core.pmb.update import Updated
+from dopslam_ros.core.pmb.update import Linearised, Updated
 from dopslam_ros.core.settings.layout import DIM, NONE
 
-judge = from_python(merge_kernels.judge)
+existence_and_type = from_python(merge_kernels.existence_and_type)
 merge = from_python(merge_kernels.merge)
 augment = from_python(newborn_kernels.augment)
 newborn = from_python(newborn_kernels.newborn)
-condition = from_python(update_kernels.condition)
+_condition = from_python(update_kernels.condition)
 
 PARAMETERS = FilterParameters()
 # What no hypothesis supports goes all the same.
 UNPRUNED = FilterParameters(prune_existence=0.0, prune_type=0.0)
+
+
+def condition(
+    state: FilterState, fit: Likelihoods, observed: Observed, source: IntArray
+) -> Updated:
+    """The update of a density about its mean."""
+    about = Linearised(state.mean, state.density.vehicle, state.start, fit, observed)
+    return _condition(about, state.covariance, source)
 
 
 def random_covariance(rng: np.random.Generator, *shape: int) -> FloatArray:
@@ -71,7 +79,7 @@ def linear_problem(
     b = rng.normal(size=(sources, DIM, 3))
     b[0] = 0.0
     h = a @ state.ue_mean
-    h[1:] += np.einsum("mij,mj->mi", b[1:], state.placements)
+    h[1:] += np.einsum("mij,mj->mi", b[1:], state.mean[4:].reshape(-1, 3))
     z = rng.normal(0.0, 5.0, (count, DIM))
     both = used[:, :, None] & used[:, None, :]
     noise = np.where(both, random_covariance(rng, count, DIM), np.eye(DIM))
@@ -134,7 +142,7 @@ def test_condition_is_the_linear_kalman_filter(seed: int) -> None:
     used[:, 1] = True
     observed, fit = linear_problem(rng, state, used)
     source = [[0, 3, NONE, 2], [NONE, 4, 1, 3], [NONE] * 4, [0, 1, 3, 4]]
-    updated = condition(state.mean, state.covariance, fit, observed, np.array(source))
+    updated = condition(state, fit, observed, np.array(source))
     assert updated.definite
     for row, sources in enumerate(source):
         mean, covariance = kalman(state, observed, fit, sources)
@@ -148,7 +156,7 @@ def test_condition_is_the_linear_kalman_filter(seed: int) -> None:
 
 def covariance_under(updated: Updated, row: int) -> FloatArray:
     """The covariance that a hypothesis has: less W'W of every branch on its way."""
-    at, covariance = updated.place[row], updated.covariance.copy()
+    at, covariance = updated.rank[row], updated.covariance.copy()
     for first, last, gain in zip(updated.first, updated.last, updated.gains, strict=True):
         if first <= at < last:
             covariance -= gain.T @ gain
@@ -166,7 +174,7 @@ def test_what_hypotheses_share_is_counted_once_each(seed: int) -> None:
     for row in range(1, 9):
         for path in rng.choice(4 if seed % 2 else 16, 1 + row % 3, replace=False):
             source[row, path] = NONE
-    updated = condition(state.mean, state.covariance, fit, observed, source)
+    updated = condition(state, fit, observed, source)
     for row, sources in enumerate(source.tolist()):
         mean, covariance = kalman(state, observed, fit, sources)
         scale = np.sqrt(np.diag(covariance))
@@ -180,7 +188,7 @@ def test_condition_with_one_hypothesis_only() -> None:
     rng = np.random.default_rng(30)
     state = state_of(rng, [[2]])
     observed, fit = linear_problem(rng, state, np.ones((2, DIM), dtype=bool))
-    updated = condition(state.mean, state.covariance, fit, observed, np.array([[1, 0]]))
+    updated = condition(state, fit, observed, np.array([[1, 0]]))
     mean, covariance = kalman(state, observed, fit, [1, 0])
     np.testing.assert_allclose(updated.means[0], mean, rtol=1e-8)
     assert len(updated.gains) == 0
@@ -193,7 +201,7 @@ def test_condition_without_any_assignment_is_the_prediction(paths: int) -> None:
     state = state_of(rng, [[2]])
     observed, fit = linear_problem(rng, state, np.ones((paths, DIM), dtype=bool))
     source = np.full((1, paths), NONE)
-    updated = condition(state.mean, state.covariance, fit, observed, source)
+    updated = condition(state, fit, observed, source)
     np.testing.assert_allclose(updated.means[0], state.mean, rtol=1e-12)
     np.testing.assert_allclose(updated.covariance, state.covariance, rtol=1e-12)
     assert updated.nis.tolist() == [0.0]
@@ -204,7 +212,7 @@ def test_condition_says_where_a_covariance_is_not_positive_definite() -> None:
     state = state_of(rng, [[2]])
     observed, fit = linear_problem(rng, state, np.ones((1, DIM), dtype=bool))
     for source in ([[1]], [[1], [0]]):
-        broken = condition(state.mean, -state.covariance, fit, observed, np.array(source))
+        broken = condition(state.but(covariance=-state.covariance), fit, observed, np.array(source))
         assert not broken.definite
 
 
@@ -321,7 +329,7 @@ def test_judge_follows_bayes() -> None:
     )
     detection = np.array([0.9, 0.9, 0.5, 0.8])
     source = np.array([[2, NONE], [3, 0], [NONE, NONE]])
-    existence, types = judge(state.density, detection, np.full(2, NONE), source)
+    existence, types = existence_and_type(state.density, detection, np.full(2, NONE), source)
     q = 0.7 * 0.1 + 0.3 * 0.5
     missed = np.array([0.6 * q / (0.4 + 0.6 * q), 0.9 * 0.2 / (0.1 + 0.9 * 0.2)])
     np.testing.assert_allclose(existence, [[1.0, missed[1]], [missed[0], 1.0], missed], rtol=1e-12)
@@ -357,7 +365,7 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     # The old part is as it was; a new one follows the vehicle by its gain.
     np.testing.assert_array_equal(after.covariance[:7, :7], state.covariance)
     kept = [(0, 0), (1, 0), (0, 2)]
-    to_position = jacobians(after.axes, after.placements)[1:]
+    to_position = jacobians(after.axes, after.mean[4:].reshape(-1, 3))[1:]
     gains = [to @ np.asarray(g) for to, g in zip(to_position, gains_of(after), strict=True)]
     for number, (kind, path) in enumerate(kept):
         block = slice(7 + 3 * number, 10 + 3 * number)
@@ -395,7 +403,7 @@ def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
     association = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
     born = newborn(births.log_intensity, new, association, PARAMETERS.prune_existence)
     density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
-    existence, _ = judge(density, np.full(2, 0.9), birth_track, track)
+    existence, _ = existence_and_type(density, np.full(2, 0.9), birth_track, track)
     np.testing.assert_allclose(existence[:, 1:], [[0.25, 0.25], [0.0, 0.25]])
 
 

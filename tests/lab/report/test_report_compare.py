@@ -15,7 +15,6 @@ from scipy import stats
 
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.cli.main import main
-from dopslam_ros.cli.options import UsageError
 from dopslam_ros.core.settings.layout import DOPPLER
 from dopslam_ros.lab.report.cases import Case, bags_in, grouped, parse_case, run_cases
 from dopslam_ros.lab.report.comparison import compare
@@ -23,6 +22,7 @@ from dopslam_ros.offline.metrics import nees
 from dopslam_ros.offline.replay import Replay
 from dopslam_ros.simulation.recording import write_simulation
 from dopslam_ros.simulation.scenario import load_scenario
+from dopslam_ros.system.errors import UsageError
 
 if TYPE_CHECKING:
     from tests.lab.report.conftest import Browser
