@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
-from dopslam_ros.core.linalg.jit import jit
+from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.linalg.small import (
     backward,
     cholesky,
@@ -28,7 +28,16 @@ from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.undetected_kernels import log_share_left
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import DIM, SP, VA, X, Y
+from dopslam_ros.core.settings.layout import (
+    AOA_AZIMUTH,
+    AOD_AZIMUTH,
+    DIM,
+    SPACE,
+    UNKNOWN_TYPES,
+    VA,
+    X,
+    Y,
+)
 
 GAUSS_NEWTON_STEPS = 6
 # A step of less than this many standard deviations changes nothing any more.
@@ -38,6 +47,53 @@ LARGEST_STD = 200.0
 # Inverse variance of x and y beforehand [1/m^2]: none, but what is not observed stays solvable.
 FLAT_WEIGHT = 1e-12
 LOG_2PI = math.log(2.0 * math.pi)
+
+
+class Vehicle(NamedTuple):
+    """What is known of the vehicle where births are fitted.
+
+    Attributes:
+        mean: (U,) s.
+        covariance: (U, U) P.
+        speed: v [m/s].
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    speed: float
+
+
+class Workspace(NamedTuple):
+    """Of a fit, written again by every step of it.
+
+    Attributes:
+        h: (6,) expected measurement.
+        a: (6, U) A = dh/ds, zero where not used.
+        b: (6, 3) B = dh/dx, zero where not used.
+        root: (6, 6) L of S = R + A P A' = L L', in the lower triangle.
+        white: (6, 4) L^-1 [B, z - h].
+        normal: (4, 4) white' white and the prior in the lower triangle, then its Cholesky factor.
+    """
+
+    h: FloatArray
+    a: FloatArray
+    b: FloatArray
+    root: FloatArray
+    white: FloatArray
+    normal: FloatArray
+
+
+@jit_inline
+def workspace(size: int) -> Workspace:
+    """For a vehicle with so many components."""
+    return Workspace(
+        np.empty(DIM),
+        np.empty((DIM, size)),
+        np.empty((DIM, SPACE)),
+        np.empty((DIM, DIM)),
+        np.empty((DIM, SPACE + 1)),
+        np.empty((SPACE + 1, SPACE + 1)),
+    )
 
 
 @jit
@@ -55,10 +111,10 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
         speed: v at the snapshot [m/s].
         constants: intensities and the height prior.
     """
-    vehicle = density.start[0]
-    ue, ue_covariance = density.mean[:vehicle].copy(), density.covariance[:vehicle, :vehicle].copy()
-    paths = len(observed.values)
-    start, located = np.empty((paths, 3)), np.empty(paths, np.bool_)
+    size, paths = density.start[0], len(observed.values)
+    ue, covariance = density.mean[:size].copy(), density.covariance[:size, :size].copy()
+    vehicle, work = Vehicle(ue, covariance, speed), workspace(size)
+    start, located = np.empty((paths, SPACE)), np.empty(paths, np.bool_)
     incidence_points(
         ue,
         constants.ue_height,
@@ -68,121 +124,107 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
         start,
         located,
     )
+    types = len(UNKNOWN_TYPES)
     births = Births(
-        np.empty((2, paths, 3)),
-        np.zeros((2, paths, 3, 3)),
-        np.zeros((2, paths, 3, vehicle)),
-        np.full((2, paths), -math.inf),
+        np.empty((types, paths, SPACE)),
+        np.zeros((types, paths, SPACE, SPACE)),
+        np.zeros((types, paths, SPACE, size)),
+        np.full((types, paths), -math.inf),
     )
-    h, a, b = np.empty(DIM), np.empty((DIM, vehicle)), np.empty((DIM, 3))
-    root, white, normal = np.empty((DIM, DIM)), np.empty((DIM, 4)), np.empty((4, 4))
-    for t in range(2):
-        kind = VA if t == 0 else SP
+    for t in range(types):
+        kind = UNKNOWN_TYPES[t]
         for j in range(paths):
-            place, used = births.position[t, j], observed.used[j]
-            for i in range(3):
-                place[i] = start[j, i]
+            position = births.position[t, j]
+            for i in range(SPACE):
+                position[i] = start[j, i]
             if not located[j]:
                 continue
             if kind == VA:
-                to_virtual_anchor(ue, constants.ue_height, constants.bs, place)
-            if not fit(
-                ue,
-                ue_covariance,
-                speed,
-                constants.bs,
-                constants.ue_height,
-                constants.landmark_height_mean,
-                constants.landmark_height_std,
-                observed.values[j],
-                used,
-                observed.noise[j],
-                kind,
-                place,
-                h,
-                a,
-                b,
-                root,
-                white,
-                normal,
-            ):
-                continue
-            covariance = births.covariance[t, j]
-            if not spread_out(a, root, white, normal, covariance, births.gain[t, j]):
-                continue
-            blur = distance_std(ue, constants.ue_height, place, covariance)
-            births.log_intensity[t, j] = laplace(root, normal, used) + log_undetected(
-                density, place, kind, blur, constants
-            )
+                to_virtual_anchor(ue, constants.ue_height, constants.bs, position)
+            if fit(vehicle, observed, j, kind, constants, position, work):
+                births.log_intensity[t, j] = conclude_birth(
+                    density, observed, t, j, constants, births, work
+                )
     return births
 
 
-@jit
-def log_undetected(
-    density: Density, position: FloatArray, kind: int, blur: float, constants: Constants
+@jit_inline
+def conclude_birth(
+    density: Density,
+    observed: Observed,
+    t: int,
+    j: int,
+    constants: Constants,
+    births: Births,
+    work: Workspace,
 ) -> float:
-    """ln (lambda p_D) at a place (3,) [m], of a type, with a std of the distance [m]."""
-    distance = distance_between(density.mean[0], density.mean[1], constants.ue_height, position)
-    seen = detection_probability(
-        kind, distance, blur, constants.detection_probability, constants.sp_field_of_view
+    """Covariance and gain of what was fitted to path j as type t; ln rho, -inf if of no use."""
+    position, covariance = births.position[t, j], births.covariance[t, j]
+    if not posterior_of_fit(work, covariance, births.gain[t, j]):
+        return -math.inf
+    std = distance_std(density.mean, constants.ue_height, position, covariance)
+    undetected = log_undetected(density, position, UNKNOWN_TYPES[t], std, constants)
+    return laplace(work.root, work.normal, observed.used[j]) + undetected
+
+
+@jit_inline
+def log_undetected(
+    density: Density, position: FloatArray, kind: int, std: float, constants: Constants
+) -> float:
+    """ln (lambda p_D) at a position (3,) [m], of a type, with a std of the distance [m]."""
+    distance = distance_between(density.mean[X], density.mean[Y], constants.ue_height, position)
+    detection = detection_probability(
+        kind, distance, std, constants.detection_probability, constants.sp_field_of_view
     )
-    if not seen > 0.0:
+    if not detection > 0.0:
         return -math.inf
     share = log_share_left(
         density.undetected,
         constants.ue_height,
         position,
         kind,
-        blur,
+        std,
         constants.detection_probability,
         constants.sp_field_of_view,
         constants.undetected_floor,
     )
-    return constants.log_undetected_intensity + share + math.log(seen)
+    return constants.log_undetected_intensity + share + math.log(detection)
 
 
-@jit
+@jit_inline
 def fit(
-    ue: FloatArray,
-    ue_covariance: FloatArray,
-    speed: float,
-    bs: FloatArray,
-    ue_height: float,
-    height_mean: float,
-    height_std: float,
-    z: FloatArray,
-    used: BoolArray,
-    noise: FloatArray,
+    vehicle: Vehicle,
+    observed: Observed,
+    j: int,
     kind: int,
+    constants: Constants,
     position: FloatArray,
-    h: FloatArray,
-    a: FloatArray,
-    b: FloatArray,
-    root: FloatArray,
-    white: FloatArray,
-    normal: FloatArray,
+    work: Workspace,
 ) -> bool:
-    """Gauss-Newton from position (3,), which is moved to the best fit.
+    """Gauss-Newton from position (3,), which is moved to the best fit to path j.
 
     Stops when the step is negligible, the linearisation being as good as the one behind it.
 
     Args:
-        ue: as in ``propose``, like all that is not named here.
-        z: (6,) the path.
-        used: (6,) which of its components count.
-        noise: (6, 6) its covariance R.
+        vehicle: which is uncertain.
+        observed: the paths.
+        j: the path.
         kind: type of the landmark.
+        constants: BS and the height prior.
         position: (3,) [m].
-        h: (6,), a (6, 4), b (6, 3), root (6, 6), white (6, 4), normal (4, 4): see ``linearise``.
+        work: that of the last linearisation afterwards.
 
     Returns:
-        Whether there may be such a landmark; if so, the arrays are those at its position.
+        Whether there may be such a landmark; if so, the workspace is that at its position.
     """
+    bs, ue_height, normal = constants.bs, constants.ue_height, work.normal
     for step in range(GAUSS_NEWTON_STEPS + 1):
-        facing = observe_source(ue, speed, bs, ue_height, position, kind, h, a, b)[1]
-        if not linearise(ue_covariance, z, used, noise, h, a, b, root, white, normal):
+        facing = observe_source(
+            vehicle.mean, vehicle.speed, bs, ue_height, position, kind, work.h, work.a, work.b
+        )[1]
+        if not linearise(vehicle.covariance, observed, j, work):
             return False
-        add_prior(height_mean, height_std, position[2], normal)
+        add_height_prior(constants, position[2], normal)
         if not cholesky(normal, len(position)):
             return False
         if step == GAUSS_NEWTON_STEPS:
@@ -193,77 +235,71 @@ def fit(
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         # One cautious step must not leave the region where the linearisation means something.
         share = 1.0 if length <= LARGEST_STD else LARGEST_STD / length
-        for i in range(3):
+        for i in range(SPACE):
             position[i] += share * normal[3, i]
         if size < NEGLIGIBLE_STEP * NEGLIGIBLE_STEP:  # in standard deviations, squared
             break
     return facing
 
 
-@jit
-def linearise(
-    ue_covariance: FloatArray,
-    z: FloatArray,
-    used: BoolArray,
-    noise: FloatArray,
-    h: FloatArray,
-    a: FloatArray,
-    b: FloatArray,
-    root: FloatArray,
-    white: FloatArray,
-    normal: FloatArray,
-) -> bool:
+@jit_inline
+def linearise(ue_covariance: FloatArray, observed: Observed, j: int, work: Workspace) -> bool:
     """Normal equations of a landmark's position, with S = R + A P A' = L L'.
 
     Args:
-        ue_covariance: (4, 4) P.
-        z: (6,) the path.
-        used: (6,) which of its components count.
-        noise: (6, 6) R.
-        h: (6,) expected measurement.
-        a: (6, 4) A = dh/ds; set to zero where not used.
-        b: (6, 3) B = dh/dx; set to zero where not used.
-        root: (6, 6) to be written: L in the lower triangle.
-        white: (6, 4) to be written: L^-1 [B, z - h].
-        normal: (4, 4) to be written: white' white in the lower triangle.
+        ue_covariance: (U, U) P.
+        observed: the paths.
+        j: the path.
+        work: h, A and B are given; A and B are set to zero where not used, the rest is written.
 
     Returns:
         Whether S is positive definite.
     """
+    used, values, h, a, b = observed.used, observed.values, work.h, work.a, work.b
+    white, normal = work.white, work.normal
     for i in range(DIM):
-        white[i, 3] = z[i] - h[i] if used[i] else 0.0
-        if not used[i]:
+        white[i, SPACE] = values[j, i] - h[i] if used[j, i] else 0.0
+        if not used[j, i]:
             for k in range(a.shape[1]):
                 a[i, k] = 0.0
             b[i, 0] = b[i, 1] = b[i, 2] = 0.0
         white[i, 0], white[i, 1], white[i, 2] = b[i, 0], b[i, 1], b[i, 2]
-    white[1, 3] = wrapped(white[1, 3])
-    white[3, 3] = wrapped(white[3, 3])
-    for i in range(DIM):
-        for j in range(i + 1):
-            root[i, j] = noise[i, j]
-        for k in range(a.shape[1]):
-            projected = 0.0
-            for m in range(a.shape[1]):
-                projected += a[i, m] * ue_covariance[m, k]
-            for j in range(i + 1):
-                root[i, j] += projected * a[j, k]
-    if not cholesky(root, len(root)):
+    white[AOA_AZIMUTH, SPACE] = wrapped(white[AOA_AZIMUTH, SPACE])
+    white[AOD_AZIMUTH, SPACE] = wrapped(white[AOD_AZIMUTH, SPACE])
+    add_congruence(a, ue_covariance, observed.noise, j, work.root)
+    if not cholesky(work.root, len(work.root)):
         return False
-    forward_columns(root, white, len(root))
-    for i in range(4):
-        for j in range(i + 1):
+    forward_columns(work.root, white, len(work.root))
+    for i in range(len(normal)):
+        for k in range(i + 1):
             entry = 0.0
-            for k in range(DIM):
-                entry += white[k, i] * white[k, j]
-            normal[i, j] = entry
+            for c in range(DIM):
+                entry += white[c, i] * white[c, k]
+            normal[i, k] = entry
     return True
 
 
-@jit
-def add_prior(height_mean: float, height_std: float, height: float, normal: FloatArray) -> None:
+@jit_inline
+def add_congruence(
+    a: FloatArray, covariance: FloatArray, noise: FloatArray, j: int, s: FloatArray
+) -> None:
+    """S = R + A P A', the lower triangle of (6, 6): R noise[j], A (6, U), P (U, U)."""
+    for i in range(len(s)):
+        for k in range(i + 1):
+            s[i, k] = noise[j, i, k]
+        for m in range(a.shape[1]):
+            projected = 0.0
+            for n in range(a.shape[1]):
+                projected += a[i, n] * covariance[n, m]
+            for k in range(i + 1):
+                s[i, k] += projected * a[k, m]
+
+
+@jit_inline
+def add_height_prior(constants: Constants, height: float, normal: FloatArray) -> None:
     """Adds the prior of a position at some height [m] to its normal equations (4, 4)."""
-    weight, off = 1.0 / (height_std * height_std), height_mean - height
+    std = constants.landmark_height_std
+    weight, off = 1.0 / (std * std), constants.landmark_height_mean - height
     normal[0, 0] += FLAT_WEIGHT
     normal[1, 1] += FLAT_WEIGHT
     normal[2, 2] += weight
@@ -271,48 +307,39 @@ def add_prior(height_mean: float, height_std: float, height: float, normal: Floa
     normal[3, 3] += weight * off * off
 
 
-@jit
-def spread_out(
-    a: FloatArray,
-    root: FloatArray,
-    white: FloatArray,
-    normal: FloatArray,
-    covariance: FloatArray,
-    gain: FloatArray,
-) -> bool:
+@jit_inline
+def posterior_of_fit(work: Workspace, covariance: FloatArray, gain: FloatArray) -> bool:
     """Covariance of the position and its gain from the vehicle.
 
     cov = (B' S^-1 B + prior)^-1, gain = -cov B' S^-1 A.
 
     Args:
-        a: (6, 4) A; used up.
-        root: (6, 6) L.
-        white: (6, 4) L^-1 [B, z - h].
-        normal: (4, 4) the Cholesky factor of the information in its first three rows.
+        work: of the fit; A is used up.
         covariance: (3, 3) to be written [m^2].
-        gain: (3, 4) to be written.
+        gain: (3, U) to be written.
 
     Returns:
         Whether the position is known well enough to be of use.
     """
-    for i in range(3):
+    a, root, white, normal = work.a, work.root, work.white, work.normal
+    for i in range(SPACE):
         column = covariance[i]
-        for j in range(3):
+        for j in range(SPACE):
             column[j] = 1.0 if i == j else 0.0
         forward(normal, column, len(column))
         backward(normal, column, len(column))
-    for i in range(3):
+    for i in range(SPACE):
         for j in range(i):
             mean = 0.5 * (covariance[i, j] + covariance[j, i])
             covariance[i, j] = mean
             covariance[j, i] = mean
     forward_columns(root, a, len(root))
-    for i in range(3):
+    for i in range(SPACE):
         for k in range(a.shape[1]):
             gain[i, k] = 0.0
         for n in range(DIM):
             weight = 0.0
-            for j in range(3):
+            for j in range(SPACE):
                 weight += covariance[i, j] * white[n, j]
             for k in range(a.shape[1]):
                 gain[i, k] -= weight * a[n, k]

@@ -101,7 +101,7 @@ def block_starts(vehicle: int, types: IntArray) -> IntArray:
 
 @jit
 def block_of(start: IntArray, source: int) -> tuple[int, int]:
-    """First index and size of the block of source m, component m - 1; of source 0, the BS, no use."""
+    """First index and size of the block of source m, component m - 1; the BS, source 0, has none."""
     first = start[source - 1]
     return first, LARGEST_LANDMARK if ALIKE else start[source] - first
 
