@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.settings.layout import LANDMARK_SIZES
 
 
@@ -95,3 +95,20 @@ def block_starts(vehicle: int, types: IntArray) -> IntArray:
     for c in range(len(types)):
         start[c + 1] = start[c] + LANDMARK_SIZES[types[c]]
     return start
+
+
+@jit
+def block_bounds(start: IntArray, block: int) -> tuple[int, int]:
+    """Where a block begins and ends in the joint vector: 0 the vehicle's, then the components'."""
+    begin: int = start[block - 1] if block > 0 else 0
+    return begin, start[block]
+
+
+@jit
+def block_numbers(start: IntArray) -> IntArray:
+    """(n,) the block of each number of the joint vector: 0 the vehicle's, then the components'."""
+    numbers = np.zeros(start[-1], np.int64)
+    for c in range(len(start) - 1):
+        for i in range(start[c], start[c + 1]):
+            numbers[i] = 1 + c
+    return numbers

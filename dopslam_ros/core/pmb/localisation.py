@@ -18,7 +18,7 @@ from dopslam_ros.core.models.channel_kernels import wrapped
 from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
 from dopslam_ros.core.pmb.likelihood import Observed
-from dopslam_ros.core.pmb.merge import uncouple
+from dopslam_ros.core.pmb.merge_gaussian import uncouple
 from dopslam_ros.core.pmb.step_kernels import Outcome, name, rank
 from dopslam_ros.core.pmb.update import Updated, condition
 from dopslam_ros.core.settings.filtering import Constants
@@ -86,7 +86,7 @@ def consider(density: Density, updated: Updated, weight: FloatArray, joint: bool
             covariance[j, i] = row[j]
     mean[2] = wrapped(mean[2])
     if not joint:
-        uncouple(covariance)
+        uncouple(covariance, density.start)
     return Density(
         mean,
         covariance,

@@ -1,4 +1,14 @@
-"""From a density under each association to one density: existence, types, moments."""
+"""From a density under each hypothesis to one PMB density: the track-oriented merge.
+
+Under hypothesis h of weight W_h the vehicle has the density p_h(s), and track t exists with
+probability r_ht and then has the density p_ht(x). Of all PMB densities whose tracks are these, the
+nearest to the mixture in Kullback-Leibler divergence has
+
+    p(s) = sum_h W_h p_h(s),    r_t = sum_h W_h r_ht,    p_t(x) = sum_h W_h r_ht p_ht(x) / r_t.
+
+With u_hc the probability of a type, its component c of p_t is weighted by W_h r_ht u_hc; a mixture
+of Gaussians becomes the Gaussian of the same mean and covariance.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +18,28 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
+from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.pmb.density import Density, block_starts
+from dopslam_ros.core.pmb.merge_gaussian import merged_covariance, merged_mean
 from dopslam_ros.core.pmb.update import Updated
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import DIM, NONE, UE
+from dopslam_ros.core.settings.layout import NONE
 
 
 @jit_inline
-def judge(
+def existence_and_types(
     density: Density, detection: FloatArray, birth_track: IntArray, source: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Existence and type of every landmark under every hypothesis.
+    """Existence r_ht and types u_hc of every landmark under every hypothesis, by Bayes' rule.
+
+    A landmark that a path is given to exists, and is of the type of the component that was
+    detected. One that is missed is missed with probability q_t = sum_c u_c (1 - p_D,c) if it
+    exists:
+
+        r_ht = r_t q_t / (1 - r_t + r_t q_t),    u_hc = u_c (1 - p_D,c) / q_t.
 
     Args:
-        density: before; births exist as they do given that their path is free.
+        density: before; births exist as they do given that their path is given to no landmark.
         detection: (C0 + 1,) p_D of the sources; the components from C0 on are births.
         birth_track: (J,) track born from each path, or NONE.
         source: (H, J) source of each path, or NONE.
@@ -30,22 +47,22 @@ def judge(
     Returns:
         (H, T) probabilities that the tracks exist, (H, C) that of the components' types.
     """
-    rows, paths = source.shape
+    hypotheses, paths = source.shape
     existence, component_track = density.existence, density.component_track
     components, tracks = len(component_track), len(existence)
-    existences, type_weights = np.empty((rows, tracks)), np.empty((rows, components))
-    surviving = density.component_weight.copy()
+    existences, types = np.empty((hypotheses, tracks)), np.empty((hypotheses, components))
+    component_missed = density.component_weight.copy()
     for c in range(len(detection) - 1):
-        surviving[c] *= 1.0 - detection[c + 1]
-    unseen = np.zeros(tracks)
+        component_missed[c] *= 1.0 - detection[c + 1]
+    track_missed = np.zeros(tracks)
     for c in range(components):
-        unseen[component_track[c]] += surviving[c]
-    for h in range(rows):
+        track_missed[component_track[c]] += component_missed[c]
+    for h in range(hypotheses):
         for t in range(tracks):
-            missed = existence[t] * unseen[t]
+            missed = existence[t] * track_missed[t]
             existences[h, t] = missed / max(1.0 - existence[t] + missed, 1e-300)
         for c in range(components):
-            type_weights[h, c] = surviving[c] / max(unseen[component_track[c]], 1e-300)
+            types[h, c] = component_missed[c] / max(track_missed[component_track[c]], 1e-300)
         for j in range(paths):
             if source[h, j] > 0:
                 detected = source[h, j] - 1
@@ -53,60 +70,55 @@ def judge(
                 existences[h, track] = 1.0
                 for c in range(components):
                     if component_track[c] == track:
-                        type_weights[h, c] = 1.0 if c == detected else 0.0
+                        types[h, c] = 1.0 if c == detected else 0.0
             if birth_track[j] != NONE:
                 free = source[h, j] == NONE
                 existences[h, birth_track[j]] = existence[birth_track[j]] if free else 0.0
-    return existences, type_weights
+    return existences, types
 
 
 @jit_inline
-def supports(
+def merge_weights(
     weight: FloatArray, conditioned: Conditioned
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How much each hypothesis says of each block of the joint vector.
+    """The weights of the hypotheses in each block of the joint vector, and what they add up to.
 
     Args:
-        weight: (H,) W, of the vehicle's block; W r u is that of a component's block.
-        conditioned: r and u.
+        weight: (H,) W_h, those of the vehicle's block; a component's block has W_h r_ht u_hc.
+        conditioned: r_ht and u_hc.
 
     Returns:
-        (H, 1 + C) normalised weights of vehicle and components, (T,) existence of the tracks, (C,)
-        probability of the component's type.
+        (H, 1 + C) weights of vehicle and components, normalised over the hypotheses, (T,) existence
+        of the tracks, (C,) probability of the component's type.
     """
     owner, existences = conditioned.density.component_track, conditioned.existence
-    rows, tracks = existences.shape
-    shares, share = np.empty((rows, 1 + len(owner))), np.empty(len(owner))
+    hypotheses, tracks = existences.shape
+    weights, share = np.empty((hypotheses, 1 + len(owner))), np.empty(len(owner))
     existence, of_track = np.zeros(tracks), np.zeros(tracks)
-    for h in range(rows):
-        shares[h, 0] = weight[h]
+    for h in range(hypotheses):
+        weights[h, 0] = weight[h]
         for t in range(tracks):
             existence[t] += weight[h] * existences[h, t]
     for t in range(tracks):
         existence[t] = min(existence[t], 1.0)
     for c in range(len(owner)):
         share[c] = 0.0
-        for h in range(rows):
-            support = weight[h] * existences[h, owner[c]] * conditioned.type_weight[h, c]
-            shares[h, 1 + c] = support
-            share[c] += support
-        # A component that no hypothesis supports is about to be dropped; any weights will do.
-        for h in range(rows):
-            shares[h, 1 + c] = shares[h, 1 + c] / share[c] if share[c] > 0.0 else weight[h]
+        for h in range(hypotheses):
+            weights[h, 1 + c] = weight[h] * existences[h, owner[c]] * conditioned.type_weight[h, c]
+            share[c] += weights[h, 1 + c]
+        # What has no weight under any hypothesis is about to be dropped; any weights will do.
+        for h in range(hypotheses):
+            weights[h, 1 + c] = weights[h, 1 + c] / share[c] if share[c] > 0.0 else weight[h]
         of_track[owner[c]] += share[c]
     for c in range(len(owner)):
         if of_track[owner[c]] > 0.0:
             share[c] /= of_track[owner[c]]
-    return shares, existence, share
+    return weights, existence, share
 
 
 @jit_inline
 def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) -> Density:
-    """PMBM to PMB: moments matched over the hypotheses, block by block; what is unlikely dropped.
-
-    The vehicle is weighted by W, a component by W r u: the track-oriented merge that is nearest in
-    Kullback-Leibler divergence. Blocks have different weights, so the covariance between two is
-    weighted by the geometric mean of theirs; the sum of congruences keeps it positive definite.
+    """One PMB density in place of one under each hypothesis; what is unlikely is dropped.
 
     Args:
         weight: (H,) of the hypotheses; of one that has all of it, this is the density under it.
@@ -114,44 +126,30 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
         constants: what is unlikely, and whether blocks stay correlated.
     """
     density, updated = conditioned.density, conditioned.updated
-    shares, existence, share = supports(weight, conditioned)
-    components, tracks = kept_of(density.component_track, existence, share, constants)
-    index = np.arange(UE + 3 * len(components))
-    for k in range(len(components)):
-        for i in range(3):
-            index[UE + 3 * k + i] = UE + 3 * components[k] + i
-    mean, deviation = moments(updated.means, shares, index)
-    roots = np.empty((len(weight), 1 + len(components)))
-    for h in range(len(weight)):
-        roots[updated.place[h], 0] = math.sqrt(shares[h, 0])
-        for k in range(len(components)):
-            roots[updated.place[h], 1 + k] = math.sqrt(shares[h, 1 + components[k]])
+    weights, existence, share = merge_weights(weight, conditioned)
+    components, tracks = likely(density.component_track, existence, share, constants)
     owner = renumbered(density.component_track, components, tracks)
-    size = len(components)
-    origin, axes, of_type = np.empty((size, 3)), np.empty((size, 3, 3)), np.empty(size)
-    types, ids, exist = np.empty(size, np.int64), np.empty_like(tracks), np.empty(len(tracks))
-    of_track = np.zeros(len(tracks))
-    for k in range(size):
-        c = components[k]
-        types[k], of_type[k] = density.component_type[c], share[c]
-        of_track[owner[k]] += of_type[k]
-        for i in range(3):
-            origin[k, i] = density.origin[c, i]
-            for j in range(3):
-                axes[k, i, j] = density.axes[c, i, j]
-    for k in range(size):
-        of_type[k] /= of_track[owner[k]]
+    types, type_weight = kept_types(density.component_type, share, components, owner, len(tracks))
+    origin, axes = kept_frames(density.origin, density.axes, components)
+    ids, exist = np.empty_like(tracks), np.empty(len(tracks))
     for k in range(len(tracks)):
         ids[k], exist[k] = density.track_id[tracks[k]], existence[tracks[k]]
+    start = block_starts(density.start[0], types)
+    mean, deviation, index = merged_mean(updated.means, weights, density.start, components)
+    roots = np.empty((len(weight), 1 + len(components)))
+    for h in range(len(weight)):
+        roots[updated.place[h], 0] = math.sqrt(weights[h, 0])
+        for k in range(len(components)):
+            roots[updated.place[h], 1 + k] = math.sqrt(weights[h, 1 + components[k]])
     return Density(
         mean,
-        spread(updated, roots, deviation, index, constants.joint),
-        block_starts(density.start[0], types),
+        merged_covariance(updated, roots, deviation, index, start, constants.joint),
+        start,
         origin,
         axes,
         owner,
         types,
-        of_type,
+        type_weight,
         ids,
         exist,
         density.undetected,
@@ -160,16 +158,19 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
 
 
 @jit
-def kept_of(
+def likely(
     owner: IntArray, existence: FloatArray, share: FloatArray, constants: Constants
 ) -> tuple[IntArray, IntArray]:
-    """Components of types that are likely enough, and the tracks that are; theirs are the others'.
+    """The tracks that are likely enough to be kept, and their components that are.
 
     Args:
         owner: (C,) track of each component.
         existence: (T,).
         share: (C,) probability of the component's type.
         constants: what is likely enough.
+
+    Returns:
+        Components and tracks, in order.
     """
     components, tracks = np.empty(len(owner), np.int64), np.empty(len(existence), np.int64)
     count = 0
@@ -198,132 +199,42 @@ def renumbered(owner: IntArray, components: IntArray, tracks: IntArray) -> IntAr
 
 
 @jit
-def moments(
-    means: FloatArray, shares: FloatArray, index: IntArray
+def kept_types(
+    types: IntArray, share: FloatArray, components: IntArray, owner: IntArray, tracks: int
+) -> tuple[IntArray, FloatArray]:
+    """Types of the K components that are kept, and their probabilities, normalised in each track.
+
+    Args:
+        types: (C,) of all components.
+        share: (C,) their probabilities.
+        components: (K,) that are kept.
+        owner: (K,) their tracks, of those that are kept.
+        tracks: how many these are.
+    """
+    kept, weight = np.empty(len(components), np.int64), np.empty(len(components))
+    of_track = np.zeros(tracks)
+    for k in range(len(components)):
+        kept[k], weight[k] = types[components[k]], share[components[k]]
+        of_track[owner[k]] += weight[k]
+    for k in range(len(components)):
+        weight[k] /= of_track[owner[k]]
+    return kept, weight
+
+
+@jit
+def kept_frames(
+    origin: FloatArray, axes: FloatArray, components: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The mean (n,) over the hypotheses, and (H, n) deviations times the roots of their weights.
-
-    Args:
-        means: (H, m).
-        shares: (H, 1 + C) weights of vehicle and components.
-        index: (n,) which of the m are wanted.
-    """
-    rows = len(means)
-    mean, deviation = np.zeros(len(index)), np.zeros((rows, len(index)))
-    for i in range(len(index)):
-        at = index[i]
-        block = 0 if at < UE else 1 + (at - UE) // 3
-        for h in range(rows):
-            mean[i] += shares[h, block] * means[h, at]
-        for h in range(rows):
-            deviation[h, i] = math.sqrt(shares[h, block]) * (means[h, at] - mean[i])
-    return mean, deviation
-
-
-@jit
-def spread(
-    updated: Updated, roots: FloatArray, deviation: FloatArray, index: IntArray, joint: bool
-) -> FloatArray:
-    """The covariance (n, n) within the hypotheses and between them.
-
-    Args:
-        updated: the covariance under each hypothesis.
-        roots: (H, 1 + K) of the weights of vehicle and components, in the order of the runs.
-        deviation: (H, n) of the means, times the roots.
-        index: (n,) columns of vehicle and components.
-        joint: whether the blocks are correlated.
-    """
-    n, branches = len(index), len(updated.gains)
-    covariance = np.zeros((n, n))
-    gains = np.empty((branches, DIM, n))
-    for branch in range(branches):
-        for k in range(DIM):
-            for i in range(n):
-                gains[branch, k, i] = updated.gains[branch, k, index[i]]
-    together = np.empty(n)
-    for block in range(roots.shape[1]):
-        low = 0 if block == 0 else UE + 3 * (block - 1)
-        high = UE if block == 0 else low + 3
-        begin = 0 if joint else low
-        weigh_together(roots, 0, len(roots), block, together)
-        for i in range(low, high):
-            for j in range(begin, i + 1):
-                covariance[i, j] = together[j] * updated.covariance[index[i], index[j]]
-        for branch in range(branches):
-            first, last = updated.first[branch], updated.last[branch]
-            if weigh_together(roots, first, last, block, together):
-                for i in range(low, high):
-                    subtract_weighted(gains, branch, i, begin, together, covariance)
-        for i in range(low, high):
-            for h in range(len(deviation)):
-                factor = deviation[h, i]
-                if factor != 0.0:
-                    for j in range(begin, i + 1):
-                        covariance[i, j] += factor * deviation[h, j]
-            for j in range(begin, i):
-                covariance[j, i] = covariance[i, j]
-    return covariance
-
-
-@jit
-def weigh_together(
-    roots: FloatArray, first: int, last: int, block: int, together: FloatArray
-) -> bool:
-    """The weight that some hypotheses have between a block and those up to it.
-
-    Args:
-        roots: (H, 1 + K) of all hypotheses.
-        first: of those that count.
-        last: one beyond them.
-        block: 0 the vehicle, then the components.
-        together: (n,) result: of each column up to the end of the block.
-
-    Returns:
-        Whether there is any.
-    """
-    own = 0.0
-    for other in range(block + 1):
-        total = 0.0
-        for at in range(first, last):
-            total += roots[at, block] * roots[at, other]
-        own = total
-        if other == 0:
-            for i in range(UE):
-                together[i] = total
-        else:
-            for i in range(3):
-                together[UE + 3 * (other - 1) + i] = total
-    return own > 0.0
-
-
-@jit
-def subtract_weighted(
-    gains: FloatArray,
-    branch: int,
-    i: int,
-    begin: int,
-    together: FloatArray,
-    covariance: FloatArray,
-) -> None:
-    """Takes together (n,) times W'W, W = gains[branch] (6, n), from row i up to the diagonal."""
-    g, b = gains, branch
-    f0, f1, f2, f3, f4, f5 = g[b, 0, i], g[b, 1, i], g[b, 2, i], g[b, 3, i], g[b, 4, i], g[b, 5, i]
-    for j in range(begin, i + 1):
-        covariance[i, j] -= together[j] * (
-            (f0 * g[b, 0, j] + f1 * g[b, 1, j] + f2 * g[b, 2, j])
-            + (f3 * g[b, 3, j] + f4 * g[b, 4, j] + f5 * g[b, 5, j])
-        )
-
-
-@from_python
-def uncouple(covariance: FloatArray) -> None:
-    """Zeroes (n, n) between the vehicle's block and those of the components, in place."""
-    n = covariance.shape[0]
-    for i in range(n):
-        mine = NONE if i < UE else (i - UE) // 3
-        for j in range(n):
-            if mine != (NONE if j < UE else (j - UE) // 3):
-                covariance[i, j] = 0.0
+    """Origins (K, 3) and axes (K, 3, 3) of the components that are kept."""
+    kept_origin = np.empty((len(components), origin.shape[1]))
+    kept_axes = np.empty((len(components), axes.shape[1], axes.shape[2]))
+    for k in range(len(components)):
+        c = components[k]
+        for i in range(origin.shape[1]):
+            kept_origin[k, i] = origin[c, i]
+            for j in range(axes.shape[2]):
+                kept_axes[k, i, j] = axes[c, i, j]
+    return kept_origin, kept_axes
 
 
 class Conditioned(NamedTuple):

@@ -15,7 +15,7 @@ from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.hypotheses import Hypotheses, LocalWeights, associate, weigh_locally
 from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed, weigh
-from dopslam_ros.core.pmb.merge import Conditioned, judge, merge
+from dopslam_ros.core.pmb.merge import Conditioned, existence_and_types, merge
 from dopslam_ros.core.pmb.newborn import Newborn, augment, newborn
 from dopslam_ros.core.pmb.undetected_kernels import looked_from
 from dopslam_ros.core.pmb.update import condition
@@ -86,7 +86,9 @@ def continued(
     augmented, birth_track = augment(density, ranked.births, ranked.born, numbered, constants)
     source = ranked.hypotheses.source
     updated = condition(augmented.mean, augmented.covariance, ranked.evidence, observed, source)
-    existence, type_weight = judge(augmented, ranked.evidence.detection, birth_track, source)
+    existence, type_weight = existence_and_types(
+        augmented, ranked.evidence.detection, birth_track, source
+    )
     return Conditioned(augmented, birth_track, updated, existence, type_weight)
 
 

@@ -71,3 +71,5 @@ LANDMARK_SIZES = (0, 3, 3)
 NONE = -1
 # The id of the base station. Row 0 of the association is its, too.
 BS_ID = 0
+# The dimension of space: of positions, directions and the axes of frames.
+SPACE = 3
