@@ -24,12 +24,12 @@ from dopslam_ros.core.models.motion import ControlSpan, predict_covariance, prop
 from dopslam_ros.core.pcrb.bounds_kernels import DIFFUSE_STD
 from dopslam_ros.core.pmb import LandmarkEstimates
 from dopslam_ros.core.pmb import coordinates as placement
-from dopslam_ros.core.pmb.birth_from_python import propose
 from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.observed import masked_residual, prepare
 from dopslam_ros.core.pmb.state import initial_filter_state
 from dopslam_ros.core.settings.filtering import FilterParameters
 from dopslam_ros.core.settings.layout import DIM, UE, UNKNOWN_TYPES, LandmarkType
+from dopslam_ros.lab.baselines.births import propose
 from dopslam_ros.simulation.simulator import CLUTTER
 
 ITERATIONS = 5

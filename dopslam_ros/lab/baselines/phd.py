@@ -29,7 +29,6 @@ from dopslam_ros.core.models.detection import detection_probabilities, log_clutt
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan, predict_covariance, propagate_spans
 from dopslam_ros.core.pmb.birth import Births
-from dopslam_ros.core.pmb.birth_from_python import propose
 from dopslam_ros.core.pmb.density import Undetected
 from dopslam_ros.core.pmb.estimates import LandmarkEstimates
 from dopslam_ros.core.pmb.hypotheses import LOG_TINY
@@ -39,6 +38,7 @@ from dopslam_ros.core.pmb.state import FilterState, initial_filter_state
 from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
 from dopslam_ros.core.settings.filtering import FilterParameters, gates
 from dopslam_ros.core.settings.layout import NONE, UE, UNKNOWN_TYPES, LandmarkType
+from dopslam_ros.lab.baselines.births import propose
 
 # Components this near a heavier one (squared Mahalanobis distance, Vo and Ma's U) join it.
 MERGE_DISTANCE = 4.0
