@@ -23,7 +23,7 @@ from dopslam_ros.cli.main import COMMANDS, TALKERS, _parser, main
 from dopslam_ros.cli.progress import silence, with_progress
 from dopslam_ros.lab.bench.suite import BENCHMARKS
 from dopslam_ros.lab.bench.titles import TITLES
-from dopslam_ros.lab.study.estimators import KINDS
+from dopslam_ros.lab.study.labels import KINDS
 from dopslam_ros.lab.study.names import FILTERS
 from dopslam_ros.messages import topics
 from dopslam_ros.simulation.scenes import builtin_scenarios

@@ -20,7 +20,7 @@ from dopslam_ros.offline.replay import Replay
 # What is not reported as a landmark yet is shown from this probability of existence on, when its
 # place is not worse known than so many times report_std.
 CANDIDATE_EXISTENCE = 0.05
-CANDIDATE_SPREAD = 3.0
+CANDIDATE_STD = 3.0
 # Length of the stub that shows from where an unexplained path came, over the size of the scene.
 STUB = 0.06
 
@@ -113,11 +113,11 @@ def _every_track(output: FilterOutput) -> LandmarkEstimates:
 def _landmarks(everything: Sequence[LandmarkEstimates], run: Replay) -> Series:
     rows = []
     for tracks in everything:
-        spread = np.sqrt(np.trace(tracks.covariances, axis1=1, axis2=2))
+        std = np.sqrt(np.trace(tracks.covariances, axis1=1, axis2=2))
         limit, enough = run.parameters.report_std, run.parameters.report_existence
-        reported = (tracks.existence >= enough) & (spread <= limit)
+        reported = (tracks.existence >= enough) & (std <= limit)
         shown = reported | (
-            (tracks.existence >= CANDIDATE_EXISTENCE) & (spread <= CANDIDATE_SPREAD * limit)
+            (tracks.existence >= CANDIDATE_EXISTENCE) & (std <= CANDIDATE_STD * limit)
         )
         table = {
             "id": tracks.ids,
@@ -128,7 +128,7 @@ def _landmarks(everything: Sequence[LandmarkEstimates], run: Replay) -> Series:
             "pxx": tracks.covariances[:, 0, 0],
             "pxy": tracks.covariances[:, 0, 1],
             "pyy": tracks.covariances[:, 1, 1],
-            "sigma": spread,
+            "sigma": std,
             "existence": tracks.existence,
             "reported": reported,
         }
