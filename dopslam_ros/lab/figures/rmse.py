@@ -44,7 +44,7 @@ def rmse_bars(results: Results) -> Figure:
     thick, colours = 0.8 / len(cases), doppler_colours(len(cases))
     figure, panels = grid(1, len(QUANTITIES), 1.2 + 0.22 * len(rows) * len(cases), "all")
     for place, (axes, quantity) in enumerate(zip(panels[0], QUANTITIES, strict=True)):
-        reach = 1.35 * _longest(bars, place)
+        limit = 1.35 * _longest(bars, place)
         for bar in bars:
             case = cases.index(bar.doppler)
             level = rows.index(bar.look) + (case - (len(cases) - 1) / 2.0) * thick
@@ -55,14 +55,14 @@ def rmse_bars(results: Results) -> Figure:
             )
             ends = level - thick / 2.0, level + thick / 2.0
             axes.vlines(bar.bound[place], *ends, label="posterior bound, RMS", **MARK)
-            if value < reach:
-                end = max(value, bar.bound[place]) + 0.02 * reach
+            if value < limit:
+                end = max(value, bar.bound[place]) + 0.02 * limit
                 axes.text(end, level, f"{value:.3f}", va="center", fontsize=8.5)
             else:
-                axes.text(0.98 * reach, level, f"{value:.3f} →", ha="right", **OUTSIDE)
+                axes.text(0.98 * limit, level, f"{value:.3f} →", ha="right", **OUTSIDE)
         axes.set_yticks(range(len(rows)), [look.label for look in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_xlim(0.0, reach)
+        axes.set_xlim(0.0, limit)
         axes.grid(visible=False, axis="y")
         axes.set_xlabel(f"RMSE of {quantity} [{QUANTITIES[quantity]}]")
     legend(figure, panels, len(cases) + 1)

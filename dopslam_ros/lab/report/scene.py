@@ -13,7 +13,7 @@ from dopslam_ros.core.models.channel import incidence_points
 from dopslam_ros.core.pmb import LandmarkEstimates
 from dopslam_ros.core.pmb.estimates import reported_landmarks
 from dopslam_ros.core.session.filtering import FilterOutput
-from dopslam_ros.core.settings.layout import COMPONENTS, NONE, LandmarkType
+from dopslam_ros.core.settings.layout import COMPONENTS, NONE, VEHICLE, LandmarkType
 from dopslam_ros.lab.report.series import Series
 from dopslam_ros.offline.replay import Replay
 
@@ -61,9 +61,11 @@ def scene_of(run: Replay) -> Series:
             (``path_x``, ``path_y``) and what was measured.
     """
     outputs = run.outputs
-    states = np.array([o.state.ue_mean for o in outputs]).reshape(-1, 4)
-    unknown = np.full(4, np.nan)
-    truth = np.array([run.truth.get(o.stamp_ns, unknown) for o in outputs]).reshape(-1, 4)
+    states = np.array([o.state.ue_mean for o in outputs]).reshape(-1, len(VEHICLE))
+    unknown = np.full(len(VEHICLE), np.nan)
+    truth = np.array([run.truth.get(o.stamp_ns, unknown) for o in outputs]).reshape(
+        -1, len(VEHICLE)
+    )
     covariances = np.array([o.state.ue_covariance[:2, :2] for o in outputs]).reshape(-1, 2, 2)
     everything = [_every_track(output) for output in outputs]
     stub = STUB * _size(run, states)
