@@ -1,4 +1,4 @@
-"""h(x, s) of eqs. (4)-(11) and its derivatives A = dh/ds, B = dh/dx, for one landmark and for many."""
+"""h(x, s) of eqs. (4)-(11), A = dh/ds and B = dh/dx, for one landmark and for many."""
 
 from __future__ import annotations
 
