@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
-from dopslam_ros.core.linalg.jit import jit, jit_inline
+from dopslam_ros.core.linalg.jit import jit_inline
 from dopslam_ros.core.linalg.small import cholesky, forward_columns, invert, log_determinant
 from dopslam_ros.core.models.channel_kernels import wrapped
 from dopslam_ros.core.pmb.likelihood import Observed

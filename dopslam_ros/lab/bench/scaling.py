@@ -139,8 +139,7 @@ def with_map(parameters: FilterParameters, positions: FloatArray, types: IntArra
     """The density before the first snapshot with a map in it.
 
     The landmarks are where they are, known well on their own, and all share the error of the
-    vehicle's position, so that all are correlated. Those out of view are inactive, as the filter
-    has it.
+    vehicle's position, so that all are correlated. Those out of view are inactive.
 
     Args:
         parameters: of the filter.
