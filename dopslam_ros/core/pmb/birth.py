@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.linalg.jit import jit
+from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.linalg.small import cholesky, solve_bordered
 from dopslam_ros.core.linalg.vec import Vec, between, unit, vec
 from dopslam_ros.core.models.channel_kernels import observe_source
@@ -93,7 +93,7 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
     return births
 
 
-@jit
+@jit_inline
 def log_undetected(
     density: Density, position: FloatArray, kind: int, distance_std: float, constants: Constants
 ) -> float:
@@ -121,7 +121,7 @@ def log_undetected(
     return constants.log_undetected_intensity + share + math.log(seen)
 
 
-@jit
+@jit_inline
 def fit_position(
     density: Density,
     observed: Observed,

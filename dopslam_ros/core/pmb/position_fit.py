@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
-from dopslam_ros.core.linalg.jit import jit
+from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.linalg.small import cholesky, forward_columns, invert, log_determinant
 from dopslam_ros.core.models.channel_kernels import wrapped
 from dopslam_ros.core.pmb.likelihood import Observed
@@ -43,7 +43,7 @@ class Fit(NamedTuple):
     normal: FloatArray
 
 
-@jit
+@jit_inline
 def new_fit(vehicle: int) -> Fit:
     """Room for the equations; so many numbers make up the vehicle."""
     return Fit(
@@ -56,7 +56,7 @@ def new_fit(vehicle: int) -> Fit:
     )
 
 
-@jit
+@jit_inline
 def linearise(ue_covariance: FloatArray, observed: Observed, j: int, fit: Fit) -> bool:
     """Normal equations of a landmark's position given path j, with S = R + A P A' = L L'.
 
@@ -104,7 +104,7 @@ def linearise(ue_covariance: FloatArray, observed: Observed, j: int, fit: Fit) -
     return True
 
 
-@jit
+@jit_inline
 def add_prior(height_mean: float, height_std: float, height: float, normal: FloatArray) -> None:
     """Adds the prior of a position at some height [m] to its normal equations (4, 4)."""
     weight, below = 1.0 / (height_std * height_std), height_mean - height
@@ -115,7 +115,7 @@ def add_prior(height_mean: float, height_std: float, height: float, normal: Floa
     normal[SPACE, SPACE] += weight * below * below
 
 
-@jit
+@jit_inline
 def position_posterior(fit: Fit, covariance: FloatArray, gain: FloatArray) -> bool:
     """Covariance of the position, and how it follows the vehicle.
 
@@ -149,7 +149,7 @@ def position_posterior(fit: Fit, covariance: FloatArray, gain: FloatArray) -> bo
     return variance < LARGEST_STD * LARGEST_STD
 
 
-@jit
+@jit_inline
 def laplace(fit: Fit, used: BoolArray) -> float:
     """ln of the integral of the likelihood and the prior over the position.
 
