@@ -41,7 +41,7 @@ def step(
     speed: float,
     parameters: FilterParameters,
 ) -> Step:
-    """p(s, X | Z_1:k-1) to p(s, X | Z_1:k), Section IV-B.
+    """p(s, X | Z_1:k-1) to p(s, X | Z_1:k), eq. (30).
 
     Args:
         state: density after the previous snapshot.
@@ -102,7 +102,10 @@ def advance(
 def predict(
     state: FilterState, spans: Sequence[ControlSpan], parameters: FilterParameters
 ) -> FilterState:
-    """The vehicle moves by f with F P F' + Q; the map is static, its correlation follows F."""
+    """The vehicle moves by f with F P F' + Q; the map is static, its correlation follows F.
+
+    The prediction below eq. (30).
+    """
     if not spans:
         return state
     before = state.density
