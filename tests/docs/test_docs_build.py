@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -115,6 +116,36 @@ def test_figures_are_drawn_by_their_command(tmp_path: Path) -> None:
         ours, theirs = imread(tmp_path / name), imread(DOCS / "figures" / name)
         assert ours.shape == theirs.shape
         assert np.abs(ours - theirs).mean() < 0.02  # another version sets letters otherwise
+
+
+def test_the_picture_of_the_rooms_is_true() -> None:
+    """Its arrows, and those that follow from them, are the ones that a test holds."""
+    picture = runpy.run_path(str(DOCS / "draw.py"))
+    held = runpy.run_path(str(ROOT / "tests" / "test_architecture.py"))
+
+    def known(room: str) -> set[str]:
+        found = set(picture["ARROWS"].get(room, ()))
+        return found.union(*map(known, found))
+
+    assert {room: known(room) for room in (*picture["ROOMS"], "core")} == held["ROOMS"]
+    assert picture["CORE"] == held["CORE"]
+
+
+def test_the_rooms_and_files_that_the_architecture_names_are_there() -> None:
+    """Folders, files and modules."""
+    text = (DOCS / "architecture.rst").read_text("utf-8")
+    package = ROOT / "dopslam_ros"
+    rooms = re.findall(r"^   \* - ``([\w/]+)``$", text, re.M)
+    tops = {room.split("/")[0] for room in rooms}
+    assert tops == {folder.parent.name for folder in package.glob("*/__init__.py")}
+    for room in rooms:
+        assert (package / room / "__init__.py").is_file(), room
+    for name in re.findall(r"``((?:core|messages|cli)[./][\w./]*)``", text):
+        path = package / (name if "/" in name else name.replace(".", "/"))
+        assert path.exists() or path.with_suffix(".py").is_file(), name
+    labs = text.partition("* - ``lab``")[2].partition("* -")[0]
+    folders = {folder.parent.name for folder in (package / "lab").glob("*/__init__.py")}
+    assert set(re.findall(r"``(\w+)``", labs)) == folders
 
 
 def test_what_is_said_of_health_is_what_the_code_does() -> None:
