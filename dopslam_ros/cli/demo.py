@@ -12,7 +12,8 @@ from pathlib import Path
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.core.settings.parameters import to_mapping
 from dopslam_ros.messages import topics
-from dopslam_ros.offline.replay import Replay, replay
+from dopslam_ros.offline.replay import replay
+from dopslam_ros.offline.replay_result import Replay
 from dopslam_ros.simulation.matched import bounds_parameters_for, filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.system.processes import ask_to_stop, isolated_environment, node_command, running

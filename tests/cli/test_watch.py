@@ -18,7 +18,7 @@ from dopslam_ros.bag import BagReader, BagWriter, deserialize, message_class, se
 from dopslam_ros.cli import watch
 from dopslam_ros.cli.main import main
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import make_diagnostics
+from dopslam_ros.messages.diagnostics import make_diagnostics
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Processes
