@@ -51,7 +51,7 @@ class Landmark:
 
 
 @dataclass
-class Sleeper:
+class InactiveLandmark:
     """An SP out of view: q = its mean + gain (anchors - their mean) + noise."""
 
     landmark: Landmark
@@ -75,7 +75,7 @@ class Density:
     snapshots: int = 0
     viewpoints: list[tuple[Array, int]] = field(default_factory=list)
     next_id: int = 1
-    inactive_landmarks: list[Sleeper] = field(default_factory=list)
+    inactive_landmarks: list[InactiveLandmark] = field(default_factory=list)
 
 
 @dataclass
@@ -662,7 +662,7 @@ def deactivate(density: Density, par: Parameters) -> Density:
             then = (density.mean[at], covariance, [number for number, _ in anchors])
             noise = covariance - gain @ cross.T
             inactive_landmarks.append(
-                Sleeper(landmark, reach, x, *then, density.mean[index], gain, noise)
+                InactiveLandmark(landmark, reach, x, *then, density.mean[index], gain, noise)
             )
     return rearrange(replace(density, landmarks=active, inactive_landmarks=inactive_landmarks))
 
@@ -681,23 +681,23 @@ def rearrange(density: Density) -> Density:
 
 
 def reactivate(density: Density) -> Density:
-    """Brings SPs back that may be detected, as the VAs that they hang on have it now."""
+    """Brings SPs back that may be detected, as the VAs they depend on have it now."""
     vas = {x.id: c.at for x in density.landmarks for c in x.components if c.kind == VA}
     before = len(density.mean)
     blocks, inactive_landmarks, landmarks = [], [], list(density.landmarks)
-    for sleeper in density.inactive_landmarks:
-        if math.hypot(*(sleeper.place[:2] - density.mean[:2])) > sleeper.reach + blur(density):
-            inactive_landmarks.append(sleeper)
+    for inactive in density.inactive_landmarks:
+        if math.hypot(*(inactive.place[:2] - density.mean[:2])) > inactive.reach + blur(density):
+            inactive_landmarks.append(inactive)
             continue
-        q, noise, follows = sleeper.q, sleeper.covariance, np.zeros((3, before))
-        if all(anchor in vas for anchor in sleeper.anchors):
-            index = [i for a in sleeper.anchors for i in range(vas[a].start, vas[a].stop)]
-            follows[:, index] = sleeper.gain
-            q = q + sleeper.gain @ (density.mean[index] - sleeper.anchors_q)
-            noise = sleeper.noise
+        q, noise, follows = inactive.q, inactive.covariance, np.zeros((3, before))
+        if all(anchor in vas for anchor in inactive.anchors):
+            index = [i for a in inactive.anchors for i in range(vas[a].start, vas[a].stop)]
+            follows[:, index] = inactive.gain
+            q = q + inactive.gain @ (density.mean[index] - inactive.anchors_q)
+            noise = inactive.noise
         at = before + 3 * len(blocks)
-        part = replace(sleeper.landmark.components[0], weight=1.0, at=slice(at, at + 3))
-        landmarks.append(replace(sleeper.landmark, components=[part]))
+        part = replace(inactive.landmark.components[0], weight=1.0, at=slice(at, at + 3))
+        landmarks.append(replace(inactive.landmark, components=[part]))
         blocks.append((q, noise, follows))
     if not blocks:
         return density

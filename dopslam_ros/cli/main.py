@@ -18,6 +18,7 @@ from dopslam_ros.cli.commands import (
     compare,
     demo,
     figures,
+    inject,
     parameters,
     recover,
     replay,
@@ -27,8 +28,8 @@ from dopslam_ros.cli.commands import (
     study,
     watch,
 )
-from dopslam_ros.cli.commands import failure_injection as trouble
-from dopslam_ros.cli.options import add_quiet, check_files, nearest_file, silence
+from dopslam_ros.cli.options import add_quiet, check_files, nearest_file
+from dopslam_ros.cli.progress import silence
 from dopslam_ros.core.settings.parameters import ParameterError
 from dopslam_ros.system.errors import UsageError
 
@@ -53,20 +54,22 @@ COMMANDS: dict[str, Command] = {
     "compare": compare,
     "bounds": bounds,
     "study": study,
-    "trouble": trouble,
+    "inject": inject,
     "figures": figures,
     "bench": bench,
     "parameters": parameters,
     "recover": recover,
     "watch": watch,
 }
+# By the new name what a command was called before; with the next release the old name goes.
+OLD_NAMES = {"inject": "trouble"}
 
 ENDING = """exit codes:
   0    it was done
   1    it failed: a file cannot be read or written, or results differ that should not
   2    it was asked wrongly: an option, a name or a value
   130  Ctrl-C ended it after the step it was at, a second one at once; what bench, bounds, demo,
-       replay, simulate, study, trouble and watch had by then is kept
+       inject, replay, simulate, study and watch had by then is kept
 
 completion in bash, also for this session alone:
   eval "$(register-python-argcomplete dopslam)"
@@ -86,6 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         check_files(options)
         with silence(getattr(options, "quiet", False)):
+            _tell_new_name(options.command)
             return int(options.run(options))
     except (UsageError, ParameterError) as error:
         _complain(error)
@@ -99,6 +103,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("dopslam: stopped", file=sys.stderr)
         return 130
+
+
+def _tell_new_name(given: str) -> None:
+    for name, old in OLD_NAMES.items():
+        if given == old:
+            print(
+                f"dopslam: '{old}' is called '{name}' now; the old name goes with the next release",
+                file=sys.stderr,
+            )
 
 
 def _complain(error: Exception, hint: str = "") -> None:
@@ -129,11 +142,13 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=__version__)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     for name, command in COMMANDS.items():
+        old = OLD_NAMES.get(name)
         sub = commands.add_parser(
             name,
-            help=command.TEXT,
+            aliases=[old] if old else [],
+            help=command.TEXT + (f" (old name until the next release: {old})" if old else ""),
             description=command.TEXT,
             epilog=f"example:\n  {command.EXAMPLE}",
             formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import difflib
 import math
-import os
-import sys
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 
@@ -19,10 +15,6 @@ from dopslam_ros.core.settings.parameters import ParameterError, checked_values,
 from dopslam_ros.simulation.scenes import builtin_scenarios
 from dopslam_ros.system.errors import UsageError
 from dopslam_ros.system.files import json_text
-
-T = TypeVar("T")
-# Between two pictures of a progress bar.
-REDRAW_SECONDS = 0.1
 
 
 def add_scenario(parser: argparse.ArgumentParser, default: str) -> None:
@@ -73,20 +65,6 @@ def add_quiet(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-q", "--quiet", action="store_true", help="say nothing but errors")
 
 
-@contextlib.contextmanager
-def silence(quiet: bool) -> Iterator[None]:
-    """Nothing is printed meanwhile if so; errors that are raised can be told afterwards."""
-    if not quiet:
-        yield
-        return
-    with (
-        open(os.devnull, "w", encoding="utf-8") as nowhere,
-        contextlib.redirect_stdout(nowhere),
-        contextlib.redirect_stderr(nowhere),
-    ):
-        yield
-
-
 def nearest_file(options: Any) -> str:
     """A hint at the file beside one that was to be read and is not there."""
     for name in ("bag", "old", "study", "file", "map"):
@@ -132,66 +110,6 @@ def check_files(options: Any) -> None:
             raise UsageError(f"--{name} {path}: give a file in a folder that exists")
         if path is not None and option == "picture" and path.suffix not in (".png", ".svg"):
             raise UsageError(f"--picture {path}: give a name that ends in .png or .svg")
-
-
-def with_progress(
-    items: Iterable[T], total: int | None, description: str, done: int = 0
-) -> Iterator[T]:
-    """The same items, with a bar on a terminal; ``done`` of the total were there before."""
-    with progress_bar(total, description, done) as show:
-        for number, item in enumerate(items, done + 1):
-            yield item
-            show(number)
-
-
-@contextlib.contextmanager
-def progress_bar(
-    total: int | None, description: str, done: int = 0
-) -> Iterator[Callable[[int], None]]:
-    """A bar at the bottom of a terminal; what else is written to stderr comes above it.
-
-    Args:
-        total: how many there will be, where that is known.
-        description: what is counted.
-        done: how many there were before; they say nothing about the speed.
-
-    Yields:
-        Function that is told how many are done.
-    """
-    if not sys.stderr.isatty():
-        yield lambda number: None
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        auto_refresh=False,  # its thread could hold a lock when the workers of a study are forked
-        speed_estimate_period=math.inf,  # a single item may take minutes
-        redirect_stdout=False,  # results go where they were sent, not to stderr
-    ) as bar:
-        task, drawn = bar.add_task(description, total=total, completed=done), time.monotonic()
-
-        def show(number: int) -> None:
-            nonlocal drawn
-            now = time.monotonic()
-            due = now - drawn >= REDRAW_SECONDS
-            drawn = now if due else drawn
-            bar.update(task, completed=number, refresh=due)
-
-        yield show
 
 
 def write_json(path: Path | None, content: dict[str, Any]) -> None:

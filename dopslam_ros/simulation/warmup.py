@@ -18,7 +18,8 @@ import numpy as np
 from dopslam_ros.core.linalg.jit import cache_folder
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control
-from dopslam_ros.core.monitoring.pose_search import Clock, solutions
+from dopslam_ros.core.monitoring.pose_problem import Clock
+from dopslam_ros.core.monitoring.pose_search import solutions
 from dopslam_ros.core.pmb import FilterParameters, initial_filter_state
 from dopslam_ros.core.pmb import coordinates_kernels as placement
 from dopslam_ros.core.pmb import inactive_kernels as inactive
@@ -73,11 +74,11 @@ def touch_the_rest() -> None:
     posterior(association.hypotheses.weight, updated, constants)
     block_starts(len(state.ue_mean), state.component_type)
     inactive.left_behind(state.density, constants.sp_field_of_view)
-    inactive.near(np.zeros((0, 3)), np.zeros(0), state.ue_mean[:2], 0.0)
+    inactive.to_reactivate(np.zeros((0, 3)), np.zeros(0), state.ue_mean[:2], 0.0)
     none, nobody = np.zeros((0, 3)), np.zeros((0, 3, 3))
-    hanging = Regressions(np.zeros((0, 1), np.int64), none, nobody, none, nobody, nobody)
-    inactive.reactivated(state.density, hanging)
-    inactive.as_of_now(state.density, hanging)
+    regressions = Regressions(np.zeros((0, 1), np.int64), none, nobody, none, nobody, nobody)
+    inactive.reactivated(state.density, regressions)
+    inactive.current(state.density, regressions)
     placement.in_space(none, nobody, none, nobody)
     solutions(state, observed, 0.0, Clock(0.0, 1.0), parameters)
 

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from dopslam_ros.bag import BagReader, BagWriter
-from dopslam_ros.cli import demo
+from dopslam_ros.lab.demo import live_run
+from dopslam_ros.lab.demo.comparison import difference
 from dopslam_ros.messages import topics
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.system.processes import CLOSING_SECONDS, running
@@ -81,7 +82,7 @@ def test_ctrl_c_ends_the_nodes(
 
     def bag() -> Path | None:
         found = list(tmp_path.glob("runs/*/live"))
-        return found[0] if found and demo._recorded(found[0])[0] else None
+        return found[0] if found and live_run._recorded(found[0])[0] else None
 
     wait(bag)
     assert process.interrupt_all() == 130, process.stderr
@@ -98,10 +99,12 @@ def test_a_node_that_dies_is_named(
     tmp_path: Path, scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """When a node cannot start the demo ends at once and says whose log to read."""
-    monkeypatch.setattr(demo, "PATIENCE", 60.0)
+    monkeypatch.setattr(live_run, "PATIENCE", 60.0)
     (tmp_path / "live").mkdir()  # the recorder finds its bag's place taken
-    with pytest.raises(demo.DemoError, match=r"node recorder ended with code 2: see recorder\.log"):
-        demo.run_live(str(scene), 1, 40.0, tmp_path, lambda done: None)
+    with pytest.raises(
+        live_run.DemoError, match=r"node recorder ended with code 2: see recorder\.log"
+    ):
+        live_run.run_live(str(scene), 1, 40.0, tmp_path, lambda done: None)
     assert "exists already" in (tmp_path / "recorder.log").read_text("utf-8")
 
 
@@ -127,20 +130,20 @@ def test_a_difference_is_found(simulated: Path, tmp_path: Path) -> None:
                 writer.write(topic, payload, 10**9 + number)
         return BagReader(tmp_path / name)
 
-    assert demo.difference(reader, bag("same", payloads), topic) is None
+    assert difference(reader, bag("same", payloads), topic) is None
     spoiled = [*payloads[:5], payloads[5][:-1] + b"\x01", *payloads[6:]]
-    text = demo.difference(reader, bag("other", spoiled), topic)
+    text = difference(reader, bag("other", spoiled), topic)
     assert text == f"1 of {STEPS} messages on {topic} differ, first: 5"
-    text = demo.difference(reader, bag("less", payloads[:-1]), topic)
+    text = difference(reader, bag("less", payloads[:-1]), topic)
     assert text == f"{STEPS} messages on {topic} live, {STEPS - 1} in the replay"
 
 
 def test_no_results_are_overwritten(tmp_path: Path) -> None:
     """Runs within the same second get folders of their own; a bad place is an error."""
     scenario = load_scenario("paper")
-    folders = {demo.new_folder(tmp_path / "runs", scenario) for _ in range(4)}
+    folders = {live_run.new_folder(tmp_path / "runs", scenario) for _ in range(4)}
     assert len(folders) == 4 and all(folder.is_dir() for folder in folders)
     assert all(folder.name.startswith("paper_") for folder in folders)
     (tmp_path / "file").touch()
-    with pytest.raises(demo.DemoError, match="cannot make the folder"):
-        demo.new_folder(tmp_path / "file", scenario)
+    with pytest.raises(live_run.DemoError, match="cannot make the folder"):
+        live_run.new_folder(tmp_path / "file", scenario)

@@ -18,12 +18,12 @@ from typing import Any
 import pytest
 
 from dopslam_ros.bag import BagReader
-from dopslam_ros.cli import options
+from dopslam_ros.cli import progress
 from dopslam_ros.cli.main import COMMANDS, TALKERS, _parser, main
-from dopslam_ros.cli.options import silence, with_progress
+from dopslam_ros.cli.progress import silence, with_progress
 from dopslam_ros.lab.bench.suite import BENCHMARKS
 from dopslam_ros.lab.bench.titles import TITLES
-from dopslam_ros.lab.study.estimators import KINDS
+from dopslam_ros.lab.study.labels import KINDS
 from dopslam_ros.lab.study.names import FILTERS
 from dopslam_ros.messages import topics
 from dopslam_ros.simulation.scenes import builtin_scenarios
@@ -104,7 +104,7 @@ class Terminal(io.StringIO):
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     """To stand in the place of standard error."""
-    monkeypatch.setattr(options, "REDRAW_SECONDS", 0.0)
+    monkeypatch.setattr(progress, "REDRAW_SECONDS", 0.0)
     for name, value in {"TERM": "xterm", "COLUMNS": "100"}.items():
         monkeypatch.setenv(name, value)
     return Terminal()
@@ -235,10 +235,10 @@ COMPILED = {
     "report {bag} --out {new}": REPLAYED,
     "compare {bag} {bag}:gamma=5 --json {new}": REPLAYED,
     "demo --scenario {scene} --out {new}": REPLAYED,
-    "map {map} --json {new}": "cli.saved_map.reported_landmarks",
+    "map {map} --json {new}": "core.pmb.estimates.reported_landmarks",
     "bounds --json {new}": "simulation.matched.nominal_bounds",
     "study --scenario {scene} --runs 1 --workers 1": "lab.study.run.judge_step",
-    "trouble --kinds kidnap none --json {new}": "cli.failure_injection.trial",
+    "inject --kinds kidnap none --json {new}": "lab.failure_injection.trial.trial",
     **{
         f"bench --quick --only {name} --json {{new}}": place
         for name, place in (
@@ -270,7 +270,7 @@ def test_ctrl_c_is_no_exception_within_compiled_functions(
     start, new = tmp_path / "start.dopmap", tmp_path / "new"
     if "{map}" in command:
         assert main(["replay", str(simulated), "--save-map", str(start)]) == 0
-    monkeypatch.setattr("dopslam_ros.cli.demo.run_live", lambda *_: simulated)
+    monkeypatch.setattr("dopslam_ros.lab.demo.live_run.run_live", lambda *_: simulated)
     compiled, calls = pkgutil.resolve_name(f"dopslam_ros.{place}"), []
 
     def interrupted(*arguments: Any, **named: Any) -> Any:
@@ -286,11 +286,11 @@ def test_ctrl_c_is_no_exception_within_compiled_functions(
     assert 1 <= len(calls) <= 3  # a step is one call, or one of each that is compared
     assert signal.getsignal(signal.SIGINT) is before
     said = capsys.readouterr().err.strip().splitlines()[-1]
-    kept = words[0] in ("bounds", "replay", "simulate", "trouble")
+    kept = words[0] in ("bounds", "replay", "simulate", "inject")
     assert said == "dopslam: stopped" + kept * "; what was done by then is kept"
     if words[0] == "bounds":
         assert len(json.loads(new.read_text("utf-8"))["rows"]) == 1
-    if words[0] == "trouble":
+    if words[0] == "inject":
         content = json.loads(new.read_text("utf-8"))
         assert content["stopped"] and content["kinds"]["kidnap"]["runs"] == 1
         assert "none" not in content["kinds"]

@@ -15,8 +15,11 @@ import pytest
 from rich.console import Console
 
 from dopslam_ros.bag import BagReader, BagWriter, deserialize, message_class, serialize
-from dopslam_ros.cli import watch
+from dopslam_ros.cli.commands import watch
 from dopslam_ros.cli.main import main
+from dopslam_ros.cli.terminal.board import Board
+from dopslam_ros.cli.terminal.feed import recorded
+from dopslam_ros.cli.terminal.frame import frame
 from dopslam_ros.messages import topics
 from dopslam_ros.messages.diagnostics import make_diagnostics
 
@@ -24,10 +27,10 @@ if TYPE_CHECKING:
     from tests.conftest import LiveRun, Processes
 
 
-def drawn(board: watch.Board) -> str:
+def drawn(board: Board) -> str:
     """A frame as text."""
     console = Console(file=io.StringIO(), width=120)
-    console.print(board.frame())
+    console.print(frame(board))
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
@@ -81,7 +84,7 @@ def test_the_frame_goes_with_the_time_of_the_bag(live: LiveRun) -> None:
     _, state = next(wanted)
     began = time.monotonic()
     seen = 0
-    for board in watch.recorded(live.bag, "", 2.0):
+    for board in recorded(live.bag, "", 2.0):
         shown = board.last.get(topics.UE_STATE.name)
         if shown is not None and shown.header.stamp == state.header.stamp:  # type: ignore[attr-defined]
             seen += 1
@@ -89,13 +92,13 @@ def test_the_frame_goes_with_the_time_of_the_bag(live: LiveRun) -> None:
             _, state = next(wanted, (0, state))
     assert seen >= len(states)
     reader = BagReader(live.bag)
-    messages = [m.log_time_ns for m in reader.messages(set(watch.Board("/").names))]
+    messages = [m.log_time_ns for m in reader.messages(set(Board("/").names))]
     assert time.monotonic() - began >= 0.5e-9 * (messages[-1] - (reader.start_time_ns or 0)) - 0.01
 
 
 def test_rates_count_messages_in_a_second(live: LiveRun) -> None:
     """Of the last seconds alone; a clock that jumps back begins anew."""
-    board = watch.Board("/")
+    board = Board("/")
     topic = topics.UE_STATE
     payload = next(iter(BagReader(live.bag).messages({"/" + topic.name}))).payload
     assert math.isnan(board.rate(topic))
@@ -110,9 +113,9 @@ def test_rates_count_messages_in_a_second(live: LiveRun) -> None:
     assert "ue_state 10.0/s" not in drawn(board)
 
 
-def test_trouble_is_shown(live: LiveRun) -> None:
+def test_bad_health_is_shown(live: LiveRun) -> None:
     """A level with its reason; what cannot be read is counted; another vehicle is left out."""
-    board = watch.Board("/car1/")
+    board = Board("/car1/")
     for name, level in (("/car1/filter", 2), ("/car2/filter", 1)):
         said = make_diagnostics(message_class, 1, name, level, f"{name} is lost: kidnapped", [])
         board.take("/diagnostics", serialize(said, topics.DIAGNOSTICS.type_name), 0.0)

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from dopslam_ros.cli.commands.parameters import NODES
-from dopslam_ros.core.monitoring import health, recovery
-from dopslam_ros.core.monitoring import pose_search as relocalise
+from dopslam_ros.core.monitoring import health, pose_search, recovery
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.settings.parameters import declarations
 from dopslam_ros.messages import topics
@@ -113,7 +112,7 @@ def test_what_is_said_of_health_is_what_the_code_does() -> None:
         f"``nis_deviations`` is above {health.MORE_THAN_CHANCE:g}",
         f"are {health.MORE_THAN_CHANCE:g} standard deviations",
         f"in {health.LONGEST_SILENCE} sets",
-        f"deviation is {relocalise.ANYWHERE[0]:g} m",
+        f"deviation is {pose_search.ANYWHERE[0]:g} m",
         f":sup:`{recovery.SURE:g}`",
         f":sup:`-{health.LOST_AT:g}`",
     ):

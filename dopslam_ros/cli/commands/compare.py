@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dopslam_ros.cli.options import add_json, add_settings
+from dopslam_ros.cli.options import add_json, add_settings, read_settings, write_json
+from dopslam_ros.cli.progress import with_progress
+from dopslam_ros.system.files import write_whole
+from dopslam_ros.system.stopping import Stop
 
 TEXT = "runs, or one run set in several ways, in numbers"
 EXAMPLE = "dopslam compare bags/paper bags/paper:doppler=none --out doppler.html"
@@ -33,7 +37,31 @@ the same NAME are runs of one case.
 
 
 def run(options: Any) -> int:
-    """Does it."""
-    from dopslam_ros.cli.report import compare as work
+    """Filters every bag, prints the tables and writes the page."""
+    from dopslam_ros.core.pmb import FilterParameters
+    from dopslam_ros.lab.report.cases import parse_case, run_cases
+    from dopslam_ros.lab.report.compare_page import compare_page, comparison_cells, remarks
+    from dopslam_ros.lab.report.comparison import compare
+    from dopslam_ros.lab.report.page import plotting_library
+    from dopslam_ros.lab.study.table import aligned
+    from dopslam_ros.simulation.warmup import warm_up_filter
 
-    return work(options)
+    if options.out is not None:
+        plotting_library()
+    wanted = [parse_case(text) for text in options.cases]
+    settings = read_settings(options)
+    progress = partial(with_progress, total=None, description="replay")
+    with Stop():
+        warm_up_filter(FilterParameters())
+        found = compare(run_cases(wanted, settings, progress))
+    for text in remarks(found.summary):
+        print(text)
+    for title, cells in comparison_cells(found.summary):
+        print("" if not title else f"\n{title}")
+        for text in aligned(cells):
+            print(text)
+    write_json(options.json, found.summary)
+    if options.out is not None:
+        write_whole(options.out, compare_page(found).encode("utf-8"))
+        print(f"\nopen {options.out} in a browser")
+    return 0

@@ -6,15 +6,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dopslam_ros.cli.commands.replay import print_summary
 from dopslam_ros.cli.options import (
     add_json,
     add_scenario,
     add_seed,
     positive_number,
-    progress_bar,
     write_json,
 )
+from dopslam_ros.cli.progress import progress_bar
+from dopslam_ros.cli.run_summary import print_summary
 from dopslam_ros.system.files import write_whole
 from dopslam_ros.system.stopping import Stop
 
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: Any) -> int:
     """Runs it; returns 1 if the replay is not what was recorded."""
-    from dopslam_ros.cli.demo import new_folder, run_live
+    from dopslam_ros.lab.demo.live_run import new_folder, run_live
     from dopslam_ros.simulation.scenario import load_scenario
 
     scenario = load_scenario(options.scenario)
@@ -53,7 +53,7 @@ def run(options: Any) -> int:
 def _replayed(bag: Path, folder: Path, title: str, file: Path | None) -> int:
     """What follows the live run."""
     from dopslam_ros.bag import BagReader
-    from dopslam_ros.cli.demo import replay_and_compare
+    from dopslam_ros.lab.demo.comparison import replay_and_compare
     from dopslam_ros.lab.figures.run import draw_run
     from dopslam_ros.lab.report.recorded import last_reports
     from dopslam_ros.lab.report.run_page import run_page

@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dopslam_ros.cli.options import add_json, add_scenario, add_seed, with_progress, write_json
+from dopslam_ros.cli.options import add_json, add_scenario, add_seed, write_json
+from dopslam_ros.cli.progress import with_progress
 from dopslam_ros.system.stopping import Stop
 
 TEXT = "write a simulated run into a bag"

@@ -1,1 +1,1 @@
-"""Which path belongs to which source: the k best assignments."""
+"""Which path belongs to which source: the k best assignments of paths to sources."""

@@ -1,4 +1,4 @@
-"""The k best associations of rows to columns."""
+"""The k best assignments of rows to columns, as Python calls them."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.association import murty as kernels
-from dopslam_ros.core.association.shortest_path import sparse
-from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
+from dopslam_ros.core.association.murty import k_best
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 
 
-class Ranked(NamedTuple):
+class Assignments(NamedTuple):
     """Assignments in the order of their cost.
 
     Attributes:
@@ -23,7 +22,7 @@ class Ranked(NamedTuple):
     costs: FloatArray
 
 
-def k_best_assignments(cost: FloatArray, idle_cost: FloatArray, k: int) -> Ranked:
+def k_best_assignments(cost: FloatArray, idle_cost: FloatArray, k: int) -> Assignments:
     """The k cheapest ways to give rows to columns, no column twice, any row may stay idle.
 
     Of equally cheap ones always the same come out, in the same order.
@@ -46,20 +45,4 @@ def k_best_assignments(cost: FloatArray, idle_cost: FloatArray, k: int) -> Ranke
             f"costs of shape {cost.shape} with idle costs of shape {idle_cost.shape}:"
             " give (R, C) and (R,)"
         )
-    return Ranked(*kernels.k_best(cost, idle_cost, k))
-
-
-def clusters(possible: BoolArray) -> list[tuple[IntArray, IntArray]]:
-    """Splits a problem into parts that share no column: connected components.
-
-    Args:
-        possible: (R, C) which row may get which column.
-
-    Returns:
-        (rows, columns) of each part that has a row, ordered by first row.
-    """
-    rows, columns = possible.shape
-    problem = sparse(np.where(possible, 0.0, np.inf), np.zeros(rows))
-    head = kernels.cluster_heads(problem, columns)
-    members = [np.flatnonzero(head == first) for first in np.unique(head)]
-    return [(part, np.flatnonzero(possible[part].any(axis=0))) for part in members]
+    return Assignments(*k_best(cost, idle_cost, k))

@@ -1,12 +1,16 @@
-"""The cheapest assignment of rows to columns, grown and changed by shortest augmenting paths.
+"""The cheapest assignment of rows to columns, built up and changed by shortest augmenting paths.
 
-A row takes a column or stays idle, a column is taken or left free. To have nothing is to have the
-ground, a last column that any number may share. A solution is held together with prices v <= 0 of
-the columns that prove it the cheapest: u_r + v_c <= cost_rc, with equality for what row r has, and
-v_c = 0 where column c is free (Jonker and Volgenant 1987; the prices u of the rows follow).
+A row gets a column of its own or stays unassigned; a column may stay unassigned as well. For a row
+to stay unassigned is to get the *idle* column, the last one, which any number of rows may share.
 
-Counts are kept in arrays and "nobody" is never an argument: the compiler would make a function
-anew for every literal number it is called with.
+An assignment is known to be the cheapest by its dual variables, u of the rows and v <= 0 of the
+columns: u_r + v_c <= cost_rc for every pair, with equality for the pairs assigned, and v_c = 0 for
+every column c that no row has (Jonker and Volgenant 1987). The reduced costs cost_rc - u_r - v_c
+are therefore not negative, so that Dijkstra's search finds the cheapest chain of changes by which
+one more row is assigned.
+
+Counts are kept in arrays and NONE is never an argument: the compiler would make a function anew
+for every literal number it is called with.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from dopslam_ros.core.settings.layout import NONE
 
 
 class Sparse(NamedTuple):
-    """N rows, M columns beside the ground, which is column M, and the E pairs that are possible.
+    """N rows, M columns and the idle column, number M, and the E pairs that are possible.
 
     Attributes:
         start: (N + 1,) the pairs of row r are start[r] ... start[r + 1] - 1.
@@ -38,13 +42,13 @@ class Sparse(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Who has what, and the prices.
+    """An assignment and its dual variables.
 
     Attributes:
-        pair: (N,) of each row, or NONE.
-        row: (M + 1,) of each column, or NONE as the ground always is.
-        u: (N,) price of each row.
-        v: (M + 1,) price of each column; that of the ground is 0.
+        pair: (N,) the pair by which each row has its column, or NONE where it is still open.
+        row: (M + 1,) the row that has each column, or NONE, as always for the idle column.
+        u: (N,) dual variables of the rows.
+        v: (M + 1,) dual variables of the columns; 0 for the idle column.
     """
 
     pair: IntArray
@@ -54,20 +58,21 @@ class Solution(NamedTuple):
 
 
 class Search(NamedTuple):
-    """Shortest paths to the columns.
+    """Shortest paths to the columns, by Dijkstra's search.
 
     Attributes:
         distance: (M + 1,) inf where not reached.
         settled: (M + 1,) 1 where the distance is final.
-        pair: (M + 1,) by which a column was reached, or E: from the ground, by leaving it free.
-        waiting: (M + 1,) columns that are reached but not settled; the first so many.
-        length: (1,) how many are waiting.
+        pair: (M + 1,) by which a column was reached; E where it was reached from the idle column,
+            which means that its row gives it up and no other takes it.
+        queue: (M + 1,) columns that are reached but not settled; the first so many.
+        length: (1,) of the queue.
     """
 
     distance: FloatArray
     settled: IntArray
     pair: IntArray
-    waiting: IntArray
+    queue: IntArray
     length: IntArray
 
 
@@ -92,27 +97,50 @@ def sparse(cost: FloatArray, idle: FloatArray) -> Sparse:
 
 
 @jit
-def reach(
+def new_solution(rows: int, columns: int) -> Solution:
+    """All rows open; the idle column is not counted."""
+    return Solution(
+        np.full(rows, NONE), np.full(columns + 1, NONE), np.empty(rows), np.zeros(columns + 1)
+    )
+
+
+@jit
+def new_search(columns: int) -> Search:
+    """Room for a search through so many columns, the idle one not counted."""
+    numbers = np.empty((3, columns + 1), np.int64)
+    return Search(np.empty(columns + 1), numbers[0], numbers[1], numbers[2], np.zeros(1, np.int64))
+
+
+@jit
+def is_fixed(solution: Solution, column: int, fixed: int) -> bool:
+    """Whether a column belongs to one of the first ``fixed`` rows, which keep what they have."""
+    row: int = solution.row[column]
+    return row != NONE and row < fixed
+
+
+@jit
+def relax(
     search: Search, solution: Solution, column: int, pair: int, distance: float, target: int
 ) -> None:
-    """Notes a path to a column, unless a shorter one is known, to it or to the target.
+    """Notes a path to a column, unless one as short is known, to it or to the target.
 
-    What is free leads to the ground, and nowhere else.
+    A column that no row has ends a chain of changes as the idle column does, so that all of these
+    are one node of the search.
     """
-    ground = len(search.distance) - 1
-    node = ground if solution.row[column] == NONE and column != target else column
+    idle = len(search.distance) - 1
+    node = idle if solution.row[column] == NONE and column != target else column
     known = search.distance[node]
     if search.settled[node] or not distance < min(known, search.distance[target]):
         return
     search.distance[node] = distance
     search.pair[node] = pair
     if known == math.inf:
-        search.waiting[search.length[0]] = node
+        search.queue[search.length[0]] = node
         search.length[0] += 1
 
 
 @jit
-def leave_row(
+def relax_row(
     problem: Sparse,
     solution: Solution,
     search: Search,
@@ -121,38 +149,39 @@ def leave_row(
     target: int,
     fixed: int,
 ) -> None:
-    """Goes on from a row at distance ``at`` to all that it may have instead."""
+    """Goes on from a row at distance ``at`` to every column that it may have instead."""
     base = at - solution.u[row]
     for pair in range(problem.start[row], problem.start[row + 1]):
         column = problem.column[pair]
-        if not 0 <= solution.row[column] < fixed:
+        if not is_fixed(solution, column, fixed):
             distance = max(at, base + problem.cost[pair] - solution.v[column])
-            reach(search, solution, column, pair, distance, target)
+            relax(search, solution, column, pair, distance, target)
 
 
 @jit
-def leave_ground(
+def relax_idle(
     problem: Sparse, solution: Solution, search: Search, at: float, target: int, fixed: int
 ) -> None:
-    """Goes on from the ground: a column is left free, an idle row takes something."""
-    ground = len(search.distance) - 1
-    nobody = len(problem.row)
-    for column in range(ground):
-        if solution.row[column] >= fixed or column == target:
-            reach(search, solution, column, nobody, max(at, at - solution.v[column]), target)
+    """Goes on from the idle column: a column loses its row, or an unassigned row gets a column."""
+    idle = len(search.distance) - 1
+    given_up = len(problem.row)
+    for column in range(idle):
+        loses = solution.row[column] != NONE and not is_fixed(solution, column, fixed)
+        if loses or column == target:
+            relax(search, solution, column, given_up, max(at, at - solution.v[column]), target)
     for row in range(fixed, len(solution.pair)):
         pair = solution.pair[row]
-        if pair != NONE and problem.column[pair] == ground:
-            leave_row(problem, solution, search, row, at, target, fixed)
+        if pair != NONE and problem.column[pair] == idle:
+            relax_row(problem, solution, search, row, at, target, fixed)
 
 
 @jit
-def cheapest(problem: Sparse, solution: Solution, row: int, fixed: int) -> float:
-    """The cheapest that a row may have at these prices; inf where there is nothing."""
+def best_offer(problem: Sparse, solution: Solution, row: int, fixed: int) -> float:
+    """The least cost_rc - v_c among the columns that a row may have; inf where there is none."""
     best = math.inf
     for pair in range(problem.start[row], problem.start[row + 1]):
         column = problem.column[pair]
-        if not 0 <= solution.row[column] < fixed:
+        if not is_fixed(solution, column, fixed):
             best = min(best, problem.cost[pair] - solution.v[column])
     return best
 
@@ -161,88 +190,96 @@ def cheapest(problem: Sparse, solution: Solution, row: int, fixed: int) -> float
 def shortest_path(
     problem: Sparse, solution: Solution, search: Search, row: int, target: int, fixed: int
 ) -> float:
-    """Dijkstra's search over reduced costs from a row that is open to a target that is free.
+    """Dijkstra's search over reduced costs from an open row to a target column without a row.
 
     Args:
-        problem: what may be had.
+        problem: the pairs that are possible.
         solution: of all rows but this one, whose u is set.
         search: filled in.
         row: where to start.
-        target: the column that is to be filled, or the ground.
-        fixed: rows before this one keep what they have.
+        target: the column that is to get a row, or the idle column.
+        fixed: the rows before this one keep what they have.
 
     Returns:
         The distance; inf where there is no path.
     """
-    ground = len(search.distance) - 1
-    for column in range(ground + 1):
+    idle = len(search.distance) - 1
+    for column in range(idle + 1):
         search.distance[column] = math.inf
         search.settled[column] = 0
     search.length[0] = 0
-    solution.u[row] = cheapest(problem, solution, row, fixed)
+    solution.u[row] = best_offer(problem, solution, row, fixed)
     if solution.u[row] < math.inf:
-        leave_row(problem, solution, search, row, 0.0, target, fixed)
+        relax_row(problem, solution, search, row, 0.0, target, fixed)
     while search.length[0] > 0:
-        best = 0
-        for i in range(1, search.length[0]):
-            if search.distance[search.waiting[i]] < search.distance[search.waiting[best]]:
-                best = i
-        node = search.waiting[best]
+        node = take_nearest(search)
         at = search.distance[node]
         if node == target:
             return float(at)
-        search.length[0] -= 1
-        search.waiting[best] = search.waiting[search.length[0]]
-        search.settled[node] = 1
-        if node == ground:
-            leave_ground(problem, solution, search, at, target, fixed)
+        if node == idle:
+            relax_idle(problem, solution, search, at, target, fixed)
         else:
-            leave_row(problem, solution, search, solution.row[node], at, target, fixed)
+            relax_row(problem, solution, search, solution.row[node], at, target, fixed)
     return math.inf
+
+
+@jit
+def take_nearest(search: Search) -> int:
+    """Takes the nearest column from the queue, which settles it; of equal ones the first."""
+    best = 0
+    for i in range(1, search.length[0]):
+        if search.distance[search.queue[i]] < search.distance[search.queue[best]]:
+            best = i
+    node = search.queue[best]
+    search.length[0] -= 1
+    search.queue[best] = search.queue[search.length[0]]
+    search.settled[node] = 1
+    return int(node)
 
 
 @jit
 def augment(
     problem: Sparse, solution: Solution, search: Search, row: int, target: int, fixed: int
 ) -> bool:
-    """Gives an open row something and fills the target, at least cost; u does not follow.
+    """Assigns an open row, and the target to some row, at least cost; u does not follow.
 
     Arguments as in ``shortest_path``.
 
     Returns:
-        Whether that is possible; if not, who has what is as it was.
+        Whether that is possible; if not, the assignment is as it was.
     """
     length = shortest_path(problem, solution, search, row, target, fixed)
     if length == math.inf:
         return False
-    ground = len(search.distance) - 1
-    lift = max(0.0, length - search.distance[ground])
-    for column in range(ground):
+    idle = len(search.distance) - 1
+    lift = max(0.0, length - search.distance[idle])
+    for column in range(idle):
         if solution.row[column] != NONE or column == target:
             solution.v[column] += lift - max(0.0, length - search.distance[column])
+    # Back along the path: each column goes to the row by which it was reached.
     node = target
     while True:
         pair = search.pair[node]
-        if pair == len(problem.row):
+        if pair == len(problem.row):  # given up by its row, which stays unassigned
             solution.row[node] = NONE
             solution.v[node] = 0.0
-            pair = search.pair[ground]
-        holder = problem.row[pair]
-        left = solution.pair[holder]
-        solution.pair[holder] = pair
-        if problem.column[pair] != ground:
-            solution.row[problem.column[pair]] = holder
-        if holder == row:
+            pair = search.pair[idle]
+        taker = problem.row[pair]
+        left = solution.pair[taker]
+        solution.pair[taker] = pair
+        if problem.column[pair] != idle:
+            solution.row[problem.column[pair]] = taker
+        if taker == row:
             return True
         node = problem.column[left]
 
 
 @jit
-def price_rows(problem: Sparse, solution: Solution) -> float:
-    """Sets u to what each row pays at the prices of the columns.
+def set_row_duals(problem: Sparse, solution: Solution) -> float:
+    """Sets u_r = cost_rc - v_c, c the column of row r.
 
     Returns:
-        The cost of the solution.
+        The cost of the assignment.
     """
     cost = 0.0
     for row in range(len(solution.pair)):

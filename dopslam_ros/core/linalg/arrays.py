@@ -47,17 +47,3 @@ def wrap_angle(angle: FloatArray) -> FloatArray:
 def symmetrise(matrix: FloatArray) -> FloatArray:
     """The symmetric part of a stack of matrices (..., n, n)."""
     return 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
-
-
-def block_indices(start: int, blocks: IntArray, size: int) -> IntArray:
-    """Indices of blocks of ``size`` numbers that lie one after the other from ``start`` on.
-
-    Args:
-        start: index of the first number of block 0.
-        blocks: (n,) block numbers.
-        size: numbers in a block.
-
-    Returns:
-        (n, size) indices.
-    """
-    return start + size * blocks[:, None] + np.arange(size)

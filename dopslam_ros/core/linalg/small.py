@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import jit
 
@@ -107,3 +109,22 @@ def used_places(used: BoolArray, place: IntArray) -> int:
             place[count] = index
             count += 1
     return count
+
+
+@jit
+def solve(lower: FloatArray, x: FloatArray, n: int) -> None:
+    """Replaces x (n,) by the solution y of L L' y = x."""
+    forward(lower, x, n)
+    backward(lower, x, n)
+
+
+@jit
+def invert(lower: FloatArray, n: int, inverse: FloatArray) -> None:
+    """Writes the inverse (n, n) of L L', column by column: symmetric but for rounding."""
+    column = np.empty(n)
+    for i in range(n):
+        column.fill(0.0)
+        column[i] = 1.0
+        solve(lower, column, n)
+        for k in range(n):
+            inverse[k, i] = column[k]

@@ -1,12 +1,13 @@
-"""What a set says of whether the filter still knows where it is."""
+"""What a set says of whether the filter still knows where it is: the terms of Page's test."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python
-from dopslam_ros.core.settings.layout import NONE
+from dopslam_ros.core.settings.layout import BS_ID, NONE
 
 # Of a lost vehicle, the share of the paths that fall into the gate of a landmark by chance.
 BY_CHANCE = 0.1
@@ -14,6 +15,26 @@ BY_CHANCE = 0.1
 SUREST = 0.95
 # Nor does a path that nothing explains say more than this [nat].
 MOST_OF_A_PATH = 3.0
+
+
+class SetStatistics(NamedTuple):
+    """The statistics of one set.
+
+    Attributes:
+        expected: number of sources that were to be heard.
+        variance: of that number.
+        heard: number of them that were.
+        clutter: number of paths that are clutter.
+        line_of_sight: probability that the BS was heard.
+        log_odds: ln p(set | lost) - ln p(set | found).
+    """
+
+    expected: float
+    variance: float
+    heard: float
+    clutter: float
+    line_of_sight: float
+    log_odds: float
 
 
 @from_python
@@ -25,8 +46,7 @@ def set_statistics(
     log_new: FloatArray,
     log_uniform: FloatArray,
     clutter_mean: float,
-    signs: FloatArray,
-) -> None:
+) -> SetStatistics:
     """Expected and heard, and the odds of lost against found.
 
     Found, source t is heard with probability p_t and a path that is no source's has the intensity
@@ -35,40 +55,36 @@ def set_statistics(
     Args:
         ids: (H, J) landmark of each path under each hypothesis, or NONE.
         weight: (H,) of the hypotheses.
-        sources: (S,) ids of what could be heard, the BS (0) first.
+        sources: (S,) ids of what could be heard.
         log_missed: (S,) ln of the probability that it is not.
         log_new: (J,) ln (c + rho).
         log_uniform: (J,) ln of the density of a path that may be anything.
         clutter_mean: mean number of clutter paths.
-        signs: (6,) result: sources expected, variance of their number, sources heard, how much of
-            the paths is clutter, whether the BS was heard, ln of the odds.
     """
-    hypotheses, paths = ids.shape
-    expected, variance, heard, odds, line_of_sight = 0.0, 0.0, 0.0, 0.0, 0.0
+    expected, variance, heard, log_odds, line_of_sight = 0.0, 0.0, 0.0, 0.0, 0.0
     for t in range(len(sources)):
         p = min(1.0 - math.exp(log_missed[t]), SUREST)
         share = 0.0
-        for h in range(hypotheses):
-            for j in range(paths):
+        for h in range(ids.shape[0]):
+            for j in range(ids.shape[1]):
                 if ids[h, j] == sources[t]:
                     share += weight[h]
         expected += p
         variance += p * (1.0 - p)
         heard += share
-        if t == 0:
+        if sources[t] == BS_ID:
             line_of_sight = share
-        odds += share * math.log(BY_CHANCE)
-        odds += (1.0 - share) * math.log((1.0 - BY_CHANCE * p) / (1.0 - p))
+        log_odds += share * math.log(BY_CHANCE)
+        log_odds += (1.0 - share) * math.log((1.0 - BY_CHANCE * p) / (1.0 - p))
     clutter = 0.0
-    for j in range(paths):
+    for j in range(ids.shape[1]):
         free = 0.0
-        for h in range(hypotheses):
+        for h in range(ids.shape[0]):
             if ids[h, j] == NONE:
                 free += weight[h]
         # Of what is free, the share of clutter is c / (c + rho).
         if clutter_mean > 0.0:
             clutter += free * clutter_mean * math.exp(log_uniform[j] - log_new[j])
         surprise = math.log(clutter_mean + expected + BY_CHANCE) + log_uniform[j] - log_new[j]
-        odds += free * min(surprise, MOST_OF_A_PATH)
-    signs[0], signs[1], signs[2] = expected, variance, heard
-    signs[3], signs[4], signs[5] = clutter, line_of_sight, odds - expected
+        log_odds += free * min(surprise, MOST_OF_A_PATH)
+    return SetStatistics(expected, variance, heard, clutter, line_of_sight, log_odds - expected)

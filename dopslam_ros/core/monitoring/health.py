@@ -1,9 +1,9 @@
 """Whether the filter still knows where it is: fine, doubtful, or lost, and why.
 
-A step is judged by what it expected to hear and heard, by how well it fitted (NIS) and by how sure
-the filter is. Single sets mean little, so figures are averaged with a fading memory of some 20 sets
-and doubts add up: the sum of ln p(set | lost) - ln p(set | found), never below zero, is Page's test
-for the moment at which the vehicle was lost. In sound operation a step takes it over ``LOST_AT``
+A step is assessed by what it expected to hear and heard, by how well it fitted (NIS) and by how
+sure the filter is. Single sets mean little, so figures are averaged with a fading memory of some 20
+sets. The CUSUM, the sum of ln p(set | lost) - ln p(set | found), never below zero, is Page's test
+for the moment at which the vehicle was lost. While all is well a step takes it over ``LOST_AT``
 with a probability below e^-LOST_AT.
 """
 
@@ -17,10 +17,11 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.monitoring.cusum import set_statistics
+from dopslam_ros.core.monitoring.cusum import SetStatistics, set_statistics
 from dopslam_ros.core.pmb import Associations, FilterParameters
+from dopslam_ros.core.settings.layout import X, Y
 
-# Doubt [nat] from which on it is told, and from which on the vehicle counts as lost.
+# CUSUM [nat] from which on it is told, and from which on the vehicle counts as lost.
 WARN_AT, LOST_AT = 6.0, 10.0
 # With less than this to hear, nothing heard says nothing.
 FEWEST_EXPECTED = 2.0
@@ -118,42 +119,20 @@ class Health:
 HEALTHY = Health()
 
 
-@dataclass(frozen=True)
-class SetStatistics:
-    """What one set says.
-
-    Attributes:
-        expected: number of sources that were to be heard.
-        variance: of that number.
-        heard: number of them that were.
-        clutter: number of paths that are nobody's.
-        line_of_sight: probability that the BS was heard.
-        odds: ln p(set | lost) - ln p(set | found).
-    """
-
-    expected: float
-    variance: float
-    heard: float
-    clutter: float
-    line_of_sight: float
-    odds: float
-
-
 def statistics_of(
     associations: Associations,
     measurements: MeasurementSet,
     parameters: FilterParameters,
 ) -> SetStatistics:
-    """What a set says of the filter.
+    """What a set says of whether the filter knows where it is.
 
     Args:
         associations: of the set.
         measurements: the set.
         parameters: of the filter.
     """
-    signs = np.empty(6)
     used = np.isfinite(measurements.values) & parameters.used_components
-    set_statistics(
+    return set_statistics(
         associations.ids,
         associations.weight,
         associations.sources,
@@ -161,14 +140,12 @@ def statistics_of(
         associations.log_new,
         -(used @ parameters.clutter_log_spans),
         float(parameters.clutter_mean),
-        signs,
     )
-    return SetStatistics(*signs.tolist())
 
 
-def judge(
+def assess(
     before: Health,
-    signs: SetStatistics,
+    statistics: SetStatistics,
     associations: Associations,
     covariance: FloatArray,
     parameters: FilterParameters,
@@ -177,34 +154,41 @@ def judge(
 
     Args:
         before: health after the step before.
-        signs: what the set says.
+        statistics: of the set.
         associations: of the set.
-        covariance: (4, 4) of the vehicle after the step.
+        covariance: (S, S) of the vehicle after the step.
         parameters: of the filter.
     """
-    odds = signs.odds if signs.expected >= FEWEST_EXPECTED else min(signs.odds, 0.0)
-    cusum = max(before.cusum + odds, 0.0)
-    faded = _faded(before.faded, signs, associations, parameters)
-    heard = signs.line_of_sight > 0.5
+    log_odds = (
+        statistics.log_odds
+        if statistics.expected >= FEWEST_EXPECTED
+        else min(statistics.log_odds, 0.0)
+    )
+    cusum = max(before.cusum + log_odds, 0.0)
+    faded = _faded(before.faded, statistics, associations, parameters)
+    heard = statistics.line_of_sight > 0.5
     silence = 0 if heard else before.silence + 1
-    position_std = math.sqrt(max(float(covariance[0, 0] + covariance[1, 1]), 0.0))
-    level, reason = _verdict(cusum, faded, silence, position_std, signs, parameters)
+    position_std = math.sqrt(max(float(covariance[X, X] + covariance[Y, Y]), 0.0))
+    level, reason = _verdict(cusum, faded, silence, position_std, statistics, parameters)
     losses = before.losses + (level == Level.LOST)
     return Health(level, reason, cusum, faded, silence, position_std, losses)
 
 
 def _faded(
-    before: Faded, signs: SetStatistics, associations: Associations, parameters: FilterParameters
+    before: Faded,
+    statistics: SetStatistics,
+    associations: Associations,
+    parameters: FilterParameters,
 ) -> Faded:
     keep, square = FADING, FADING**2
     return Faded(
         nis=keep * before.nis + associations.nis,
         dof=keep * before.dof + associations.nis_dof,
         nis_variance=square * before.nis_variance + 2.0 * associations.nis_dof,
-        heard=keep * before.heard + signs.heard,
-        expected=keep * before.expected + signs.expected,
-        heard_variance=square * before.heard_variance + signs.variance,
-        clutter=keep * before.clutter + signs.clutter,
+        heard=keep * before.heard + statistics.heard,
+        expected=keep * before.expected + statistics.expected,
+        heard_variance=square * before.heard_variance + statistics.variance,
+        clutter=keep * before.clutter + statistics.clutter,
         clutter_expected=keep * before.clutter_expected + parameters.clutter_mean,
         clutter_variance=square * before.clutter_variance + parameters.clutter_mean,
     )
@@ -215,10 +199,10 @@ def _verdict(
     faded: Faded,
     silence: int,
     position_std: float,
-    signs: SetStatistics,
+    statistics: SetStatistics,
     parameters: FilterParameters,
 ) -> tuple[Level, str]:
-    came = f"{signs.heard:.1f} of {signs.expected:.1f} expected paths came"
+    came = f"{statistics.heard:.1f} of {statistics.expected:.1f} expected paths came"
     if cusum >= LOST_AT:
         return Level.LOST, f"lost: {came}, what came is not explained"
     if cusum >= WARN_AT:

@@ -101,16 +101,23 @@ def block_starts(vehicle: int, types: IntArray) -> IntArray:
 
 @jit
 def block_of(start: IntArray, source: int) -> tuple[int, int]:
-    """First index and size of the block of source m, component m - 1; the BS, source 0, has none."""
+    """First index and size of the block of source m, component m - 1; none of the BS's, 0."""
     first = start[source - 1]
     return first, LARGEST_LANDMARK if ALIKE else start[source] - first
 
 
 @jit
-def blocks_of(start: IntArray) -> IntArray:
-    """(n,) the block of each number of the joint vector: 0 the vehicle's, m that of source m."""
-    block = np.zeros(start[-1], np.int64)
+def block_bounds(start: IntArray, block: int) -> tuple[int, int]:
+    """Where a block begins and ends in the joint vector: 0 the vehicle's, then the components'."""
+    begin: int = start[block - 1] if block > 0 else 0
+    return begin, start[block]
+
+
+@jit
+def block_numbers(start: IntArray) -> IntArray:
+    """(n,) the block of each number of the joint vector: 0 the vehicle's, then the components'."""
+    numbers = np.zeros(start[-1], np.int64)
     for c in range(len(start) - 1):
         for i in range(start[c], start[c + 1]):
-            block[i] = c + 1
-    return block
+            numbers[i] = 1 + c
+    return numbers

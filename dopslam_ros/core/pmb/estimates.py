@@ -8,7 +8,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
-from dopslam_ros.core.pmb.inactive import in_space_now
+from dopslam_ros.core.pmb.inactive import current_in_space
 from dopslam_ros.core.pmb.state import FilterState
 from dopslam_ros.core.settings.filtering import FilterParameters
 from dopslam_ros.core.settings.layout import LandmarkType
@@ -39,7 +39,7 @@ _PARTS = tuple(part.name for part in fields(LandmarkEstimates))
 
 
 def reported_landmarks(state: FilterState, parameters: FilterParameters) -> LandmarkEstimates:
-    """The map: landmarks that surely exist and whose place is known, in view or not."""
+    """The map: landmarks that surely exist and whose position is known, in view or not."""
     tracks = len(state.track_id)
     probabilities = np.zeros((tracks, len(LandmarkType)))
     probabilities[state.component_track, state.component_type] = state.component_weight
@@ -57,25 +57,23 @@ def reported_landmarks(state: FilterState, parameters: FilterParameters) -> Land
         covariances=covariance[best],
     )
     everything = _together(active, _out_of_view(state))
-    spread = np.sqrt(np.trace(everything.covariances, axis1=1, axis2=2))
-    shown = (everything.existence >= parameters.report_existence) & (
-        spread <= parameters.report_std
-    )
+    std = np.sqrt(np.trace(everything.covariances, axis1=1, axis2=2))
+    shown = (everything.existence >= parameters.report_existence) & (std <= parameters.report_std)
     order = np.flatnonzero(shown)
     return _rows(everything, order[np.argsort(everything.ids[order], kind="stable")])
 
 
 def _out_of_view(state: FilterState) -> LandmarkEstimates | None:
-    inactive_landmarks = state.inactive.everybody
-    if inactive_landmarks is None:
+    inactive = state.inactive.landmarks
+    if inactive is None:
         return None
-    position, covariance = in_space_now(state, inactive_landmarks)
-    types = np.full(len(inactive_landmarks), int(LandmarkType.SP))
+    position, covariance = current_in_space(state, inactive)
+    types = np.full(len(inactive), int(LandmarkType.SP))
     return LandmarkEstimates(
-        ids=inactive_landmarks.track_id,
+        ids=inactive.track_id,
         types=types,
         type_probabilities=np.eye(len(LandmarkType))[types],
-        existence=inactive_landmarks.existence,
+        existence=inactive.existence,
         positions=position,
         covariances=covariance,
     )

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.association.murty import insert, k_best
+from dopslam_ros.core.association.murty import k_best
+from dopslam_ros.core.association.sorted_list import insert
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.pmb.birth import Births

@@ -1,4 +1,4 @@
-"""Scattering points out of view are put aside, so that they cost nothing until they come back.
+"""Scattering points out of view become inactive, so that they cost nothing until they come back.
 
 A landmark that cannot be detected learns only through what it has in common with the rest. Of that,
 nearly all goes through the virtual anchors, which stay in view: given them, an SP that was left
@@ -7,8 +7,8 @@ keeps its regression on the anchors,
 
     q = q_then + gain (anchor_q - anchor_q_then) + noise of covariance ``residual``,
 
-which no later update of vehicle and anchors changes. When it wakes up, its mean, its covariance and
-its correlation with everything follow from the anchors as they are then. What is lost is what two
+which no later update of vehicle and anchors changes. When it is reactivated, its mean, covariance
+and correlation with everything follow from the anchors as they are then. What is lost is what two
 landmarks, or a landmark and the vehicle, have in common beyond the anchors.
 """
 
@@ -26,7 +26,7 @@ from dopslam_ros.core.pmb.inactive_grid import InactiveLandmarks
 from dopslam_ros.core.pmb.inactive_kernels import MARGIN, left_behind
 from dopslam_ros.core.pmb.state import FilterState
 from dopslam_ros.core.settings.filtering import FilterParameters
-from dopslam_ros.core.settings.layout import LandmarkType, X, Y
+from dopslam_ros.core.settings.layout import LANDMARK_SIZES, LandmarkType, X, Y
 
 # Only virtual anchors that surely are what they are carry others.
 SURE = 0.999
@@ -37,25 +37,27 @@ SMALLEST_CELL = 1.0
 
 
 def deactivate(state: FilterState, parameters: FilterParameters) -> FilterState:
-    """Puts SPs aside that the vehicle has left behind."""
-    reach, leaving = left_behind(state.density, float(parameters.sp_field_of_view))
+    """Takes SPs that the vehicle has left behind out of the density."""
+    distance, leaving = left_behind(state.density, float(parameters.sp_field_of_view))
     if not leaving.any():
         return state
     inactive = state.inactive
     least = FORGOTTEN if parameters.mapping else 0.0
     remembered = np.flatnonzero((leaving & (state.existence >= least))[state.component_track])
     if len(remembered):
-        inactive_landmarks = _inactive_landmarks(state, remembered, reach[remembered])
-        inactive = inactive.with_more(inactive_landmarks, _cell_size(parameters))
+        landmarks = _inactive_landmarks(state, remembered, distance[remembered])
+        inactive = inactive.with_more(landmarks, _cell_size(parameters))
     active = state.only(~leaving[state.component_track], ~leaving)
     return replace(active, inactive=inactive)
 
 
 def reactivate(state: FilterState, parameters: FilterParameters) -> FilterState:
-    """Takes those back that may be detected from where the vehicle is."""
+    """Appends those to the density that may be detected from where the vehicle is."""
     if not state.inactive.cells:
         return state
-    found, inactive = state.inactive.take(state.ue_mean[:2], _blur(state), _cell_size(parameters))
+    found, inactive = state.inactive.take(
+        state.ue_mean[[X, Y]], _position_margin(state), _cell_size(parameters)
+    )
     if found is None:
         return state
     count, tracks = len(found), len(state.track_id)
@@ -74,23 +76,19 @@ def reactivate(state: FilterState, parameters: FilterParameters) -> FilterState:
     return replace(active, inactive=inactive)
 
 
-def as_of_now(
-    state: FilterState, inactive_landmarks: InactiveLandmarks
+def current(state: FilterState, landmarks: InactiveLandmarks) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) local coordinates and (N, 3, 3) covariances of inactive landmarks now."""
+    return kernels.current(state.density, landmarks.regressions)
+
+
+def current_in_space(
+    state: FilterState, landmarks: InactiveLandmarks
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, 3) placements and (N, 3, 3) covariances of inactive landmarks now."""
-    return kernels.as_of_now(state.density, inactive_landmarks.regressions)
+    """(N, 3) positions [m] and (N, 3, 3) covariances [m^2] of inactive landmarks now."""
+    return in_space(landmarks.origin, landmarks.axes, *current(state, landmarks))
 
 
-def in_space_now(
-    state: FilterState, inactive_landmarks: InactiveLandmarks
-) -> tuple[FloatArray, FloatArray]:
-    """(N, 3) positions [m] and (N, 3, 3) covariances of inactive landmarks now."""
-    return in_space(
-        inactive_landmarks.origin, inactive_landmarks.axes, *as_of_now(state, inactive_landmarks)
-    )
-
-
-def _blur(state: FilterState) -> float:
+def _position_margin(state: FilterState) -> float:
     """How far the vehicle may be from where it seems to be [m]."""
     return MARGIN * math.sqrt(state.covariance[X, X] + state.covariance[Y, Y])
 
@@ -105,26 +103,30 @@ def _anchors(state: FilterState) -> IntArray:
     return np.flatnonzero(sure & (state.component_type == LandmarkType.VA))
 
 
+def _numbers_of(state: FilterState, components: IntArray, kind: LandmarkType) -> IntArray:
+    """(N, D) where the numbers of components of a type are in the joint vector."""
+    return state.start[components][:, None] + np.arange(LANDMARK_SIZES[kind])
+
+
 def _inactive_landmarks(
-    state: FilterState, components: IntArray, reach: FloatArray
+    state: FilterState, components: IntArray, reactivation_distance: FloatArray
 ) -> InactiveLandmarks:
-    """Components, the only ones of their tracks, as they are put aside."""
-    anchors = _anchors(state)
-    count = len(components)
-    index, own = state.columns(anchors), state.columns(components)
-    cross = state.covariance[own][:, index]
+    """Components, the only ones of their tracks, as they become inactive."""
+    anchors, count = _anchors(state), len(components)
+    index = _numbers_of(state, anchors, LandmarkType.VA).ravel()
+    own = _numbers_of(state, components, LandmarkType.SP)
+    cross = state.covariance[own.ravel()][:, index]
     within = state.covariance[np.ix_(index, index)]
     # In memory as a file gives it back: products round otherwise in another order.
     gain = np.ascontiguousarray(np.linalg.solve(within, cross.T).T, np.float64)
-    own = own.reshape(count, -1)
+    gain = gain.reshape(*own.shape, len(index))
     covariance = state.covariance[own[:, :, None], own[:, None, :]]
-    size = own.shape[1]
-    explained = gain.reshape(count, size, -1) @ np.swapaxes(cross.reshape(count, size, -1), 1, 2)
+    explained = gain @ np.swapaxes(cross.reshape(gain.shape), 1, 2)
     track = state.component_track[components]
     return InactiveLandmarks(
         track_id=state.track_id[track],
         existence=state.existence[track],
-        reach=reach,
+        reactivation_distance=reactivation_distance,
         position=state.positions[components],
         origin=state.origin[components],
         axes=state.axes[components],
@@ -132,6 +134,6 @@ def _inactive_landmarks(
         covariance=covariance,
         anchors=np.tile(state.track_id[state.component_track[anchors]], (count, 1)),
         anchor_q=np.tile(state.mean[index], (count, 1)),
-        gain=gain.reshape(count, size, -1),
+        gain=gain,
         residual=symmetrise(covariance - explained),
     )

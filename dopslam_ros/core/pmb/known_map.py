@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dopslam_ros.core.pmb.merge import uncouple
+from dopslam_ros.core.pmb.merge_gaussian import uncouple
 from dopslam_ros.core.pmb.state import FilterState
 from dopslam_ros.core.settings.filtering import FilterParameters
 
@@ -16,15 +16,14 @@ def map_of(state: FilterState) -> FilterState:
 
 
 def with_map(state: FilterState, known: FilterState, parameters: FilterParameters) -> FilterState:
-    """The vehicle of one density in the map of another, which it is independent of.
+    """p(s) p(X): the vehicle of one density in the map of another, which it is independent of.
 
     Args:
         state: whose vehicle is taken.
         known: whose map is taken, with the correlations inside it.
         parameters: with ``coupling: marginal`` those are dropped too.
     """
-    bare = map_of(known)
-    vehicle = bare.start[0]
+    bare, vehicle = map_of(known), known.start[0]
     bare.mean[:vehicle] = state.ue_mean
     bare.covariance[:vehicle, :vehicle] = state.ue_covariance
     if parameters.coupling == "marginal":

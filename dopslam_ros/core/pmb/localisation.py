@@ -18,7 +18,7 @@ from dopslam_ros.core.models.channel_kernels import wrapped
 from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
 from dopslam_ros.core.pmb.likelihood import Observed
-from dopslam_ros.core.pmb.merge import uncouple
+from dopslam_ros.core.pmb.merge_gaussian import uncouple
 from dopslam_ros.core.pmb.step_kernels import Outcome, associate_paths, by_landmark_id
 from dopslam_ros.core.pmb.update import Linearised, Updated, condition
 from dopslam_ros.core.settings.filtering import Constants

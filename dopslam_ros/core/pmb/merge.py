@@ -1,4 +1,14 @@
-"""From a density under each association to one density: existence, types, moments."""
+"""From a density under each hypothesis to one PMB density: the track-oriented merge.
+
+Under hypothesis h of weight W_h the vehicle has the density p_h(s), and track t exists with
+probability r_ht and then has the density p_ht(x). Of all PMB densities whose tracks are these, the
+nearest to the mixture in Kullback-Leibler divergence has
+
+    p(s) = sum_h W_h p_h(s),    r_t = sum_h W_h r_ht,    p_t(x) = sum_h W_h r_ht p_ht(x) / r_t.
+
+With u_hc the probability of a type, its component c of p_t is weighted by W_h r_ht u_hc; a mixture
+of Gaussians becomes the Gaussian of the same mean and covariance.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +18,28 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
-from dopslam_ros.core.pmb.density import Density, block_starts, blocks_of
+from dopslam_ros.core.linalg.jit import jit, jit_inline
+from dopslam_ros.core.pmb.density import Density, block_starts
+from dopslam_ros.core.pmb.merge_gaussian import merged_covariance, merged_mean
 from dopslam_ros.core.pmb.update import Updated
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import DIM, NONE, SPACE
+from dopslam_ros.core.settings.layout import NONE
 
 
 @jit_inline
-def existence_and_type(
+def existence_and_types(
     density: Density, detection: FloatArray, birth_track: IntArray, source: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Existence and type of every landmark under every hypothesis.
+    """Existence r_ht and types u_hc of every landmark under every hypothesis, by Bayes' rule.
+
+    A landmark that a path is given to exists, and is of the type of the component that was
+    detected. One that is missed is missed with probability q_t = sum_c u_c (1 - p_D,c) if it
+    exists:
+
+        r_ht = r_t q_t / (1 - r_t + r_t q_t),    u_hc = u_c (1 - p_D,c) / q_t.
 
     Args:
-        density: before; births exist as they do given that their path is free.
+        density: before; births exist as they do given that their path is given to no landmark.
         detection: (C0 + 1,) p_D of the sources; the components from C0 on are births.
         birth_track: (J,) track born from each path, or NONE.
         source: (H, J) source of each path, or NONE.
@@ -30,22 +47,22 @@ def existence_and_type(
     Returns:
         (H, T) probabilities that the tracks exist, (H, C) that of the components' types.
     """
-    rows, paths = source.shape
+    hypotheses, paths = source.shape
     existence, component_track = density.existence, density.component_track
     components, tracks = len(component_track), len(existence)
-    existences, type_weights = np.empty((rows, tracks)), np.empty((rows, components))
-    surviving = density.component_weight.copy()
+    existences, types = np.empty((hypotheses, tracks)), np.empty((hypotheses, components))
+    component_missed = density.component_weight.copy()
     for c in range(len(detection) - 1):
-        surviving[c] *= 1.0 - detection[c + 1]
-    unseen = np.zeros(tracks)
+        component_missed[c] *= 1.0 - detection[c + 1]
+    track_missed = np.zeros(tracks)
     for c in range(components):
-        unseen[component_track[c]] += surviving[c]
-    for h in range(rows):
+        track_missed[component_track[c]] += component_missed[c]
+    for h in range(hypotheses):
         for t in range(tracks):
-            missed = existence[t] * unseen[t]
+            missed = existence[t] * track_missed[t]
             existences[h, t] = missed / max(1.0 - existence[t] + missed, 1e-300)
         for c in range(components):
-            type_weights[h, c] = surviving[c] / max(unseen[component_track[c]], 1e-300)
+            types[h, c] = component_missed[c] / max(track_missed[component_track[c]], 1e-300)
         for j in range(paths):
             if source[h, j] > 0:
                 detected = source[h, j] - 1
@@ -53,60 +70,55 @@ def existence_and_type(
                 existences[h, track] = 1.0
                 for c in range(components):
                     if component_track[c] == track:
-                        type_weights[h, c] = 1.0 if c == detected else 0.0
+                        types[h, c] = 1.0 if c == detected else 0.0
             if birth_track[j] != NONE:
                 free = source[h, j] == NONE
                 existences[h, birth_track[j]] = existence[birth_track[j]] if free else 0.0
-    return existences, type_weights
+    return existences, types
 
 
 @jit_inline
-def block_weights(
+def merge_weights(
     weight: FloatArray, conditioned: Conditioned
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The weight of each hypothesis in each block of the joint vector: W, or W r u, normalised.
+    """The weights of the hypotheses in each block of the joint vector, and what they add up to.
 
     Args:
-        weight: (H,) W, of the vehicle's block; W r u is that of a component's block.
-        conditioned: r and u.
+        weight: (H,) W_h, those of the vehicle's block; a component's block has W_h r_ht u_hc.
+        conditioned: r_ht and u_hc.
 
     Returns:
-        (H, 1 + C) normalised weights of vehicle and components, (T,) existence of the tracks, (C,)
-        probability of the component's type.
+        (H, 1 + C) weights of vehicle and components, normalised over the hypotheses, (T,) existence
+        of the tracks, (C,) probability of the component's type.
     """
     owner, existences = conditioned.density.component_track, conditioned.existence
-    rows, tracks = existences.shape
-    shares, share = np.empty((rows, 1 + len(owner))), np.empty(len(owner))
+    hypotheses, tracks = existences.shape
+    weights, share = np.empty((hypotheses, 1 + len(owner))), np.empty(len(owner))
     existence, of_track = np.zeros(tracks), np.zeros(tracks)
-    for h in range(rows):
-        shares[h, 0] = weight[h]
+    for h in range(hypotheses):
+        weights[h, 0] = weight[h]
         for t in range(tracks):
             existence[t] += weight[h] * existences[h, t]
     for t in range(tracks):
         existence[t] = min(existence[t], 1.0)
     for c in range(len(owner)):
         share[c] = 0.0
-        for h in range(rows):
-            support = weight[h] * existences[h, owner[c]] * conditioned.type_weight[h, c]
-            shares[h, 1 + c] = support
-            share[c] += support
-        # A component that no hypothesis supports is about to be dropped; any weights will do.
-        for h in range(rows):
-            shares[h, 1 + c] = shares[h, 1 + c] / share[c] if share[c] > 0.0 else weight[h]
+        for h in range(hypotheses):
+            weights[h, 1 + c] = weight[h] * existences[h, owner[c]] * conditioned.type_weight[h, c]
+            share[c] += weights[h, 1 + c]
+        # What has no weight under any hypothesis is about to be dropped; any weights will do.
+        for h in range(hypotheses):
+            weights[h, 1 + c] = weights[h, 1 + c] / share[c] if share[c] > 0.0 else weight[h]
         of_track[owner[c]] += share[c]
     for c in range(len(owner)):
         if of_track[owner[c]] > 0.0:
             share[c] /= of_track[owner[c]]
-    return shares, existence, share
+    return weights, existence, share
 
 
 @jit_inline
 def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) -> Density:
-    """PMBM to PMB: moments matched over the hypotheses, block by block; what is unlikely dropped.
-
-    The vehicle is weighted by W, a component by W r u: the track-oriented merge that is nearest in
-    Kullback-Leibler divergence. Blocks have different weights, so the covariance between two is
-    weighted by the geometric mean of theirs; the sum of congruences keeps it positive definite.
+    """One PMB density in place of one under each hypothesis; what is unlikely is dropped.
 
     Args:
         weight: (H,) of the hypotheses; of one that has all of it, this is the density under it.
@@ -114,44 +126,31 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
         constants: what is unlikely, and whether blocks stay correlated.
     """
     density, updated = conditioned.density, conditioned.updated
-    shares, existence, share = block_weights(weight, conditioned)
+    weights, existence, share = merge_weights(weight, conditioned)
     components, tracks = likely(density.component_track, existence, share, constants)
-    index, types = kept_columns(density, components)
-    start = block_starts(density.start[0], types)
-    block = blocks_of(start)
-    roots = np.empty((len(weight), 1 + len(components)))
-    for h in range(len(weight)):
-        roots[updated.rank[h], 0] = math.sqrt(shares[h, 0])
-        for k in range(len(components)):
-            roots[updated.rank[h], 1 + k] = math.sqrt(shares[h, 1 + components[k]])
-    mean, deviation = moments(updated.means, shares, index, blocks_of(density.start))
     owner = renumbered(density.component_track, components, tracks)
-    size = len(components)
-    origin, axes = np.empty((size, SPACE)), np.empty((size, SPACE, SPACE))
-    of_type, of_track = np.empty(size), np.zeros(len(tracks))
+    types, type_weight = kept_types(density.component_type, share, components, owner, len(tracks))
+    origin, axes = kept_frames(density.origin, density.axes, components)
     ids, exist = np.empty_like(tracks), np.empty(len(tracks))
-    for k in range(size):
-        c = components[k]
-        of_type[k] = share[c]
-        of_track[owner[k]] += of_type[k]
-        for i in range(SPACE):
-            origin[k, i] = density.origin[c, i]
-            for j in range(SPACE):
-                axes[k, i, j] = density.axes[c, i, j]
-    for k in range(size):
-        of_type[k] /= of_track[owner[k]]
     for k in range(len(tracks)):
         ids[k], exist[k] = density.track_id[tracks[k]], existence[tracks[k]]
+    start = block_starts(density.start[0], types)
+    mean, deviation, index = merged_mean(updated.means, weights, density.start, components)
+    roots = np.empty((len(weight), 1 + len(components)))
+    for h in range(len(weight)):
+        roots[updated.rank[h], 0] = math.sqrt(weights[h, 0])
+        for k in range(len(components)):
+            roots[updated.rank[h], 1 + k] = math.sqrt(weights[h, 1 + components[k]])
     return Density(
         mean,
-        merged_covariance(updated, roots, deviation, index, start, block, constants.joint),
+        merged_covariance(updated, roots, deviation, index, start, constants.joint),
         density.vehicle,
         start,
         origin,
         axes,
         owner,
         types,
-        of_type,
+        type_weight,
         ids,
         exist,
         density.undetected,
@@ -163,7 +162,7 @@ def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) ->
 def likely(
     owner: IntArray, existence: FloatArray, share: FloatArray, constants: Constants
 ) -> tuple[IntArray, IntArray]:
-    """Tracks that exist likely enough, and their components of types that are likely enough.
+    """The tracks that are likely enough to be kept, and their components that are.
 
     Args:
         owner: (C,) track of each component.
@@ -172,7 +171,7 @@ def likely(
         constants: what is likely enough.
 
     Returns:
-        The components and the tracks, by index.
+        Components and tracks, in order.
     """
     components, tracks = np.empty(len(owner), np.int64), np.empty(len(existence), np.int64)
     count = 0
@@ -189,23 +188,6 @@ def likely(
 
 
 @jit
-def kept_columns(density: Density, components: IntArray) -> tuple[IntArray, IntArray]:
-    """(n,) where in the joint vector the vehicle and some components are; (K,) their types."""
-    size = density.start[0]
-    for c in components:
-        size += density.start[c + 1] - density.start[c]
-    index, types = np.arange(size), np.empty(len(components), np.int64)
-    at = density.start[0]
-    for k in range(len(components)):
-        c = components[k]
-        types[k] = density.component_type[c]
-        for i in range(density.start[c], density.start[c + 1]):
-            index[at] = i
-            at += 1
-    return index, types
-
-
-@jit
 def renumbered(owner: IntArray, components: IntArray, tracks: IntArray) -> IntArray:
     """Tracks (C,) of the components that are kept, numbered as the tracks that are kept."""
     new = np.empty(len(components), np.int64)
@@ -218,141 +200,42 @@ def renumbered(owner: IntArray, components: IntArray, tracks: IntArray) -> IntAr
 
 
 @jit
-def moments(
-    means: FloatArray, shares: FloatArray, index: IntArray, block: IntArray
+def kept_types(
+    types: IntArray, share: FloatArray, components: IntArray, owner: IntArray, tracks: int
+) -> tuple[IntArray, FloatArray]:
+    """Types of the K components that are kept, and their probabilities, normalised in each track.
+
+    Args:
+        types: (C,) of all components.
+        share: (C,) their probabilities.
+        components: (K,) that are kept.
+        owner: (K,) their tracks, of those that are kept.
+        tracks: how many these are.
+    """
+    kept, weight = np.empty(len(components), np.int64), np.empty(len(components))
+    of_track = np.zeros(tracks)
+    for k in range(len(components)):
+        kept[k], weight[k] = types[components[k]], share[components[k]]
+        of_track[owner[k]] += weight[k]
+    for k in range(len(components)):
+        weight[k] /= of_track[owner[k]]
+    return kept, weight
+
+
+@jit
+def kept_frames(
+    origin: FloatArray, axes: FloatArray, components: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The mean (n,) over the hypotheses, and (H, n) deviations times the roots of their weights.
-
-    Args:
-        means: (H, m).
-        shares: (H, 1 + C) weights of vehicle and components.
-        index: (n,) which of the m are wanted.
-        block: (m,) to which block each belongs, 0 the vehicle's.
-    """
-    rows = len(means)
-    mean, deviation = np.zeros(len(index)), np.zeros((rows, len(index)))
-    for i in range(len(index)):
-        at = index[i]
-        for h in range(rows):
-            mean[i] += shares[h, block[at]] * means[h, at]
-        for h in range(rows):
-            deviation[h, i] = math.sqrt(shares[h, block[at]]) * (means[h, at] - mean[i])
-    return mean, deviation
-
-
-@jit
-def merged_covariance(
-    updated: Updated,
-    roots: FloatArray,
-    deviation: FloatArray,
-    index: IntArray,
-    start: IntArray,
-    block: IntArray,
-    joint: bool,
-) -> FloatArray:
-    """The covariance (n, n) within the hypotheses and between them.
-
-    Args:
-        updated: the covariance under each hypothesis.
-        roots: (H, 1 + K) of the weights of vehicle and components, in the order of the runs.
-        deviation: (H, n) of the means, times the roots.
-        index: (n,) columns of vehicle and components.
-        start: (K + 1,) where the components' blocks begin among these.
-        block: (n,) to which block each belongs, 0 the vehicle's.
-        joint: whether the blocks are correlated.
-    """
-    n, branches = len(index), len(updated.gains)
-    covariance, together = np.zeros((n, n)), np.empty(n)
-    gains = np.empty((branches, DIM, n))
-    for branch in range(branches):
-        for k in range(DIM):
-            for i in range(n):
-                gains[branch, k, i] = updated.gains[branch, k, index[i]]
-    high = 0
-    for number in range(roots.shape[1]):
-        low, high = high, start[number]
-        begin = 0 if joint else low
-        common_weight(roots, 0, len(roots), number, high, block, together)
-        for i in range(low, high):
-            for j in range(begin, i + 1):
-                covariance[i, j] = together[j] * updated.covariance[index[i], index[j]]
-        for branch in range(branches):
-            first, last = updated.first[branch], updated.last[branch]
-            if common_weight(roots, first, last, number, high, block, together):
-                for i in range(low, high):
-                    subtract_weighted(gains, branch, i, begin, together, covariance)
-        for i in range(low, high):
-            for h in range(len(deviation)):
-                factor = deviation[h, i]
-                if factor != 0.0:
-                    for j in range(begin, i + 1):
-                        covariance[i, j] += factor * deviation[h, j]
-            for j in range(begin, i):
-                covariance[j, i] = covariance[i, j]
-    return covariance
-
-
-@jit
-def common_weight(
-    roots: FloatArray,
-    first: int,
-    last: int,
-    number: int,
-    high: int,
-    block: IntArray,
-    together: FloatArray,
-) -> bool:
-    """The weight that some hypotheses have between a block and those up to it.
-
-    Args:
-        roots: (H, 1 + K) of all hypotheses.
-        first: of those that count.
-        last: one beyond them.
-        number: of the block: 0 the vehicle, then the components.
-        high: one beyond its last column.
-        block: (n,) to which block each column belongs.
-        together: (n,) result: of each column up to the end of the block.
-
-    Returns:
-        Whether there is any.
-    """
-    before, total = NONE, 0.0
-    for i in range(high):
-        if block[i] != before:
-            before, total = block[i], 0.0
-            for at in range(first, last):
-                total += roots[at, number] * roots[at, before]
-        together[i] = total
-    return total > 0.0
-
-
-@jit
-def subtract_weighted(
-    gains: FloatArray,
-    branch: int,
-    i: int,
-    begin: int,
-    together: FloatArray,
-    covariance: FloatArray,
-) -> None:
-    """Takes together (n,) times W'W, W = gains[branch] (6, n), from row i up to the diagonal."""
-    g, b = gains, branch
-    f0, f1, f2, f3, f4, f5 = g[b, 0, i], g[b, 1, i], g[b, 2, i], g[b, 3, i], g[b, 4, i], g[b, 5, i]
-    for j in range(begin, i + 1):
-        covariance[i, j] -= together[j] * (
-            (f0 * g[b, 0, j] + f1 * g[b, 1, j] + f2 * g[b, 2, j])
-            + (f3 * g[b, 3, j] + f4 * g[b, 4, j] + f5 * g[b, 5, j])
-        )
-
-
-@from_python
-def uncouple(covariance: FloatArray, start: IntArray) -> None:
-    """Zeroes (n, n) between the blocks of vehicle and components, in place."""
-    block = blocks_of(start)
-    for i in range(len(block)):
-        for j in range(len(block)):
-            if block[i] != block[j]:
-                covariance[i, j] = 0.0
+    """Origins (K, 3) and axes (K, 3, 3) of the components that are kept."""
+    kept_origin = np.empty((len(components), origin.shape[1]))
+    kept_axes = np.empty((len(components), axes.shape[1], axes.shape[2]))
+    for k in range(len(components)):
+        c = components[k]
+        for i in range(origin.shape[1]):
+            kept_origin[k, i] = origin[c, i]
+            for j in range(axes.shape[2]):
+                kept_axes[k, i, j] = axes[c, i, j]
+    return kept_origin, kept_axes
 
 
 class Conditioned(NamedTuple):

@@ -15,7 +15,7 @@ from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.hypotheses import Hypotheses, LocalWeights, associate, local_weights
 from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed, local_likelihoods
-from dopslam_ros.core.pmb.merge import Conditioned, existence_and_type, merge
+from dopslam_ros.core.pmb.merge import Conditioned, existence_and_types, merge
 from dopslam_ros.core.pmb.newborn import Newborn, augment, newborn
 from dopslam_ros.core.pmb.undetected_kernels import looked_from
 from dopslam_ros.core.pmb.update import Linearised, condition
@@ -96,7 +96,7 @@ def condition_on(
         augmented.mean, augmented.vehicle, augmented.start, association.likelihoods, observed
     )
     updated = condition(about, augmented.covariance, source)
-    existence, type_weight = existence_and_type(
+    existence, type_weight = existence_and_types(
         augmented, association.likelihoods.detection, birth_track, source
     )
     return Conditioned(augmented, birth_track, updated, existence, type_weight)

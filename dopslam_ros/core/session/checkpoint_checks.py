@@ -93,7 +93,7 @@ def check_state(state: FilterState, parameters: Mapping[str, Any]) -> None:
     _frames(state.axes)
     _covariance("covariance", state.covariance)
     _check_undetected(state)
-    _check_asleep(state, parameters)
+    _check_inactive(state, parameters)
     ids = state.all_track_ids
     _need(len(np.unique(ids)) == len(ids), "two landmarks have the same id")
     _need(not len(ids) or 1 <= ids.min() <= ids.max() < state.next_id, "an id is out of range")
@@ -111,33 +111,35 @@ def _check_undetected(state: FilterState) -> None:
     _need(seen.looks >= 0 and bool((seen.viewpoint_looks >= 0).all()), "looks are below 0")
 
 
-def _check_asleep(state: FilterState, parameters: Mapping[str, Any]) -> None:
-    _need(0.0 <= state.inactive.widest <= LARGEST, "a reach is out of range")
-    everybody = state.inactive.everybody
-    if everybody is None:
+def _check_inactive(state: FilterState, parameters: Mapping[str, Any]) -> None:
+    _need(
+        0.0 <= state.inactive.largest_distance <= LARGEST, "a reactivation distance is out of range"
+    )
+    landmarks = state.inactive.landmarks
+    if landmarks is None:
         return
     size = max(float(parameters["sp_field_of_view"]), SMALLEST_CELL)
     index = np.array(list(state.inactive.cells), np.float64)
     counts = [len(cell) for cell in state.inactive.cells.values()]
-    at_home = np.floor(everybody.position[:, :2] / size) == np.repeat(index, counts, axis=0)
+    at_home = np.floor(landmarks.position[:, :2] / size) == np.repeat(index, counts, axis=0)
     _need(min(counts) > 0 and bool(at_home.all()), "a cell has landmarks of elsewhere, or none")
-    _check_sleepers(everybody, state.inactive.widest)
+    _check_landmarks(landmarks, state.inactive.largest_distance)
 
 
-def _check_sleepers(inactive_landmarks: InactiveLandmarks, widest: float) -> None:
-    for name in ("existence", "reach", "position", "origin", "axes", "q", "anchor_q", "gain"):
-        _numbers(name, getattr(inactive_landmarks, name))
+def _check_landmarks(landmarks: InactiveLandmarks, largest: float) -> None:
+    for name in ("existence", "position", "origin", "axes", "q", "anchor_q", "gain"):
+        _numbers(name, getattr(landmarks, name))
+    distance = landmarks.reactivation_distance
+    _numbers("reactivation_distance", distance)
     for name in ("track_id", "anchors"):
-        _need(
-            getattr(inactive_landmarks, name).dtype == np.int64, f"'{name}' is not of whole numbers"
-        )
-    _probabilities("existence", inactive_landmarks.existence)
-    in_reach = (inactive_landmarks.reach >= 0.0) & (inactive_landmarks.reach <= widest)
-    _need(bool(in_reach.all()), "a reach is out of range")
-    _need(bool((inactive_landmarks.anchors >= 0).all()), "an anchor has a negative id")
-    _frames(inactive_landmarks.axes)
-    _covariance("covariance", inactive_landmarks.covariance)
-    _covariance("residual", inactive_landmarks.residual)
+        _need(getattr(landmarks, name).dtype == np.int64, f"'{name}' is not of whole numbers")
+    _probabilities("existence", landmarks.existence)
+    in_range = (distance >= 0.0) & (distance <= largest)
+    _need(bool(in_range.all()), "a reactivation distance is out of range")
+    _need(bool((landmarks.anchors >= 0).all()), "an anchor has a negative id")
+    _frames(landmarks.axes)
+    _covariance("covariance", landmarks.covariance)
+    _covariance("residual", landmarks.residual)
 
 
 def _array(name: str, array: FloatArray | IntArray, shape: tuple[int, ...], *, whole: bool) -> None:

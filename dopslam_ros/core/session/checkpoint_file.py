@@ -52,7 +52,7 @@ _DENSITY = tuple(n for n in Density._fields if n not in _KNOWN)
 _INACTIVE: Mapping[str, tuple[int, ...]] = {
     "track_id": (),
     "existence": (),
-    "reach": (),
+    "reactivation_distance": (),
     "position": (3,),
     "origin": (3,),
     "axes": (3, 3),
@@ -63,6 +63,8 @@ _INACTIVE: Mapping[str, tuple[int, ...]] = {
     "gain": (3, -3),
     "residual": (3, 3),
 }
+# What has another name in the file, which is older.
+_NAMES_IN_FILE = {"reactivation_distance": "reach"}
 
 
 def encode(saved: Checkpoint) -> list[Buffer]:
@@ -165,9 +167,14 @@ def _of_state(state: FilterState) -> Iterator[tuple[str, Array]]:
     cells = list(state.inactive.cells.items())
     sizes = [[*index, *cell.anchors.shape] for index, cell in cells]
     yield "cells", np.array(sizes, np.int64).reshape(-1, 4)
-    yield "widest", np.array([state.inactive.widest])
+    yield "widest", np.array([state.inactive.largest_distance])
     for name in _INACTIVE if cells else ():
-        yield f"asleep/{name}", np.concatenate([getattr(cell, name).ravel() for _, cell in cells])
+        yield _in_file(name), np.concatenate([getattr(cell, name).ravel() for _, cell in cells])
+
+
+def _in_file(name: str) -> str:
+    """What an array of the inactive landmarks is called in the file."""
+    return f"asleep/{_NAMES_IN_FILE.get(name, name)}"
 
 
 def _saved(about: Any, arrays: Arrays, prefix: str = "") -> Checkpoint:
@@ -223,7 +230,7 @@ def _state(arrays: Arrays, prefix: str) -> FilterState:
     next_id, looks = take("numbers").tolist()
     undetected = Undetected(looks, take("viewpoints"), take("viewpoint_looks"))
     cells, (widest,) = take("cells").tolist(), take("widest").tolist()
-    flat = {name: take(f"asleep/{name}") for name in _INACTIVE} if cells else {}
+    flat = {name: take(_in_file(name)) for name in _INACTIVE} if cells else {}
     sizes = np.array(LANDMARK_SIZES)[own["component_type"]]
     start = np.cumsum([len(ANGLES), *sizes])
     density = Density(**own, vehicle=ANGLES, start=start, undetected=undetected, next_id=next_id)
@@ -233,7 +240,7 @@ def _state(arrays: Arrays, prefix: str) -> FilterState:
 def _cells(
     sizes: list[list[int]], flat: Mapping[str, Any]
 ) -> dict[tuple[int, int], InactiveLandmarks]:
-    """The inactive_landmarks of each cell, cut out of the flat arrays of all."""
+    """The inactive landmarks of each cell, cut out of the flat arrays of all."""
     cells: dict[tuple[int, int], InactiveLandmarks] = {}
     at = dict.fromkeys(_INACTIVE, 0)
     for x, y, count, anchors in sizes:

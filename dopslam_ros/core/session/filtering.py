@@ -102,16 +102,16 @@ class FilterSession(ControlledFilter):
             self._monitor = monitor_anew(self._state, anew, self.parameters)
             self._state = self._monitor.state
         try:
-            watch, result = monitored_step(
+            monitor, result = monitored_step(
                 self._monitor, measurements, spans, control.speed, self.parameters
             )
         except np.linalg.LinAlgError:
-            watch, result = self._monitor, None
+            monitor, result = self._monitor, None
         if result is None or not _sound(result.state):
             self.problems["numerical_failure"] += 1
             return None  # the last good state stays
         self._owed = ()
-        self._state, self._monitor = result.state, watch
+        self._state, self._monitor = result.state, monitor
         return FilterOutput(
             stamp_ns=timed.stamp_ns,
             state=result.state,
@@ -121,7 +121,7 @@ class FilterSession(ControlledFilter):
             associations=result.associations,
             step_seconds=time.perf_counter() - started,
             anew=anew,
-            health=watch.health,
+            health=monitor.health,
         )
 
 

@@ -11,25 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam_ros.core.linalg.arrays import (
-    FloatArray,
-    IntArray,
-    block_indices,
-    symmetrise,
-    wrap_angle,
-)
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray, symmetrise, wrap_angle
 from dopslam_ros.core.models.channel import observe
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.models.motion import ControlSpan, predict_covariance, propagate_spans
+from dopslam_ros.core.models.motion import ControlSpan
 from dopslam_ros.core.pcrb.bounds_kernels import DIFFUSE_STD
-from dopslam_ros.core.pmb import LandmarkEstimates
-from dopslam_ros.core.pmb import coordinates as placement
-from dopslam_ros.core.pmb.birth_from_python import propose
+from dopslam_ros.core.pmb import LandmarkEstimates, coordinates
 from dopslam_ros.core.pmb.likelihood import Observed
-from dopslam_ros.core.pmb.observed import masked_residual, prepare
+from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.pmb.state import initial_filter_state
 from dopslam_ros.core.settings.filtering import FilterParameters
-from dopslam_ros.core.settings.layout import DIM, UE, UNKNOWN_TYPES, LandmarkType
+from dopslam_ros.core.settings.layout import DIM, HEADING, SPACE, UNKNOWN_TYPES, LandmarkType
+from dopslam_ros.lab.baselines.births import propose
+from dopslam_ros.lab.baselines.gaussian import masked_residual
+from dopslam_ros.lab.baselines.prediction import predict
 from dopslam_ros.simulation.simulator import CLUTTER
 
 ITERATIONS = 5
@@ -37,11 +32,11 @@ ITERATIONS = 5
 
 @dataclass(frozen=True)
 class GenieState:
-    """Joint Gaussian over [s; q of the landmarks seen], q as in ``filter.placement``.
+    """Joint Gaussian over [s; q of the landmarks seen], q as in ``core.pmb.coordinates``.
 
     Attributes:
-        mean: (4 + 3 L,).
-        covariance: (4 + 3 L, 4 + 3 L).
+        mean: (U + 3 L,).
+        covariance: (U + 3 L, U + 3 L).
         origin: (L, 3) of the landmarks' frames [m].
         axes: (L, 3, 3).
         sources: (L,) source number of each landmark, as in Snapshot.sources.
@@ -54,21 +49,31 @@ class GenieState:
     sources: IntArray
 
     @property
+    def vehicle(self) -> int:
+        """U, how many numbers the vehicle has."""
+        return len(self.mean) - SPACE * len(self.sources)
+
+    @property
+    def local(self) -> FloatArray:
+        """(L, 3) q of the landmarks."""
+        return self.mean[self.vehicle :].reshape(-1, SPACE)
+
+    @property
     def positions(self) -> FloatArray:
         """(L, 3) of the landmarks [m]."""
-        return placement.positions(self.origin, self.axes, self._placements)
+        return coordinates.positions(self.origin, self.axes, self.local)
 
     @property
     def position_covariances(self) -> FloatArray:
         """(L, 3, 3) of the positions, to first order [m^2]."""
-        index = block_indices(UE, np.arange(len(self.sources)), 3)
+        index = self.columns(np.arange(len(self.sources)))
         blocks = self.covariance[index[:, :, None], index[:, None, :]]
-        jacobian = placement.jacobians(self.axes, self._placements)
+        jacobian = coordinates.jacobians(self.axes, self.local)
         return symmetrise(jacobian @ blocks @ np.swapaxes(jacobian, 1, 2))
 
-    @property
-    def _placements(self) -> FloatArray:
-        return self.mean[UE:].reshape(-1, 3)
+    def columns(self, landmarks: IntArray) -> IntArray:
+        """(n, 3) where landmarks (n,) stand in the joint vector."""
+        return self.vehicle + SPACE * landmarks[:, None] + np.arange(SPACE)
 
 
 def initial_genie(parameters: FilterParameters) -> GenieState:
@@ -102,9 +107,7 @@ def genie_step(
         speed: v at the snapshot [m/s].
         parameters: models.
     """
-    ue, jacobian, noise = propagate_spans(state.mean[:UE], spans, parameters.noise_rate)
-    mean = np.concatenate([ue, state.mean[UE:]])
-    covariance = predict_covariance(state.covariance, jacobian, noise)
+    mean, covariance = predict(state.mean, state.covariance, spans, parameters)
     real = sources != CLUTTER
     observed = prepare(
         MeasurementSet(measurements.values[real], measurements.covariances[real]), parameters
@@ -118,7 +121,7 @@ def genie_step(
 def genie_landmarks(
     state: GenieState, types: IntArray, parameters: FilterParameters
 ) -> LandmarkEstimates:
-    """The landmarks seen whose place is known as well as the other filters must know it.
+    """The landmarks seen whose position is known as well as the other filters must know it.
 
     Args:
         state: after a step.
@@ -148,8 +151,8 @@ def _with_new_landmarks(
 ) -> tuple[GenieState, IntArray]:
     """Appends landmarks never seen, diffuse, where their path puts them; and the usable paths."""
     base = initial_filter_state(parameters).but(
-        mean=state.mean[:UE],
-        covariance=state.covariance[:UE, :UE],
+        mean=state.mean[: state.vehicle],
+        covariance=state.covariance[: state.vehicle, : state.vehicle],
     )
     births = propose(base, observed, speed, parameters)
     new, kept = [], []
@@ -161,10 +164,10 @@ def _with_new_landmarks(
         if np.isfinite(births.log_intensity[kind, path]):
             kept.append(path)
             new.append((source, births.position[kind, path]))
-    position = np.array([position for _, position in new]).reshape(-1, 3)
+    position = np.array([position for _, position in new]).reshape(-1, SPACE)
     origin = np.tile(np.append(state.mean[:2], parameters.ue_height), (len(new), 1))
-    axes = placement.frames(position - origin)
-    q = placement.placements(origin, axes, position)
+    axes = coordinates.frames(position - origin)
+    q = coordinates.placements(origin, axes, position)
     std = DIFFUSE_STD / np.stack([np.ones(len(new)), q[:, 0], q[:, 0]], axis=1)
     old = len(state.mean)
     covariance = np.diag(np.concatenate([np.zeros(old), std.ravel() ** 2]))
@@ -187,46 +190,58 @@ def _update(
     speed: float,
     parameters: FilterParameters,
 ) -> GenieState:
+    """The iterated EKF update of vehicle and landmarks with J paths of known sources (J,)."""
     if not len(sources):
         return state
     size, count = len(state.mean), len(sources)
-    is_bs = sources == 0
-    # Row 0 is the BS, then the landmarks.
-    row = np.array(
-        [0 if s == 0 else 1 + int(np.flatnonzero(state.sources == s)[0]) for s in sources]
-    )
-    columns = block_indices(UE, row - 1, 3)
-    kinds = np.where(is_bs, int(LandmarkType.BS), types[sources])
     noise = np.zeros((count * DIM, count * DIM))
     for number in range(count):
         block = slice(DIM * number, DIM * number + DIM)
         noise[block, block] = observed.noise[number]
     mean = state.mean
     for _ in range(ITERATIONS):
-        q = mean[UE:].reshape(-1, 3)
-        places = np.vstack([parameters.bs, placement.positions(state.origin, state.axes, q)])
-        to_position = placement.jacobians(state.axes, q)
-        paths = observe(mean[:UE], speed, places[row], kinds, parameters.bs, parameters.ue_height)
-        blocks = np.zeros((count, DIM, size))
-        blocks[:, :, :UE] = paths.ue_jacobian
-        for path in np.flatnonzero(~is_bs):
-            blocks[path][:, columns[path]] = (
-                paths.landmark_jacobian[path] @ to_position[row[path] - 1]
-            )
-        rows = (blocks * observed.used[:, :, None]).reshape(-1, size)
-        innovation = masked_residual(observed, paths.mean).ravel()
+        about = replace(state, mean=mean)
+        rows, innovation = _linearised(about, observed, sources, types, speed, parameters)
         innovation = innovation + rows @ _difference(mean, state.mean)
         projected = rows @ state.covariance
         gain = np.linalg.solve(symmetrise(projected @ rows.T + noise), projected).T
         mean = state.mean + gain @ innovation
     keep = np.eye(size) - gain @ rows
     covariance = symmetrise(keep @ state.covariance @ keep.T + gain @ noise @ gain.T)
-    mean = mean.copy()
-    mean[2] = wrap_angle(mean[2])
+    mean[HEADING] = wrap_angle(mean[HEADING])
     return replace(state, mean=mean, covariance=covariance)
+
+
+def _linearised(
+    state: GenieState,
+    observed: Observed,
+    sources: IntArray,
+    types: IntArray,
+    speed: float,
+    parameters: FilterParameters,
+) -> tuple[FloatArray, FloatArray]:
+    """H (6 J, n) and the innovations (6 J,) of all paths at the mean of a state."""
+    vehicle, q = state.vehicle, state.local
+    is_bs = sources == 0
+    # Row 0 is the BS, then the landmarks.
+    row = np.array(
+        [0 if s == 0 else 1 + int(np.flatnonzero(state.sources == s)[0]) for s in sources]
+    )
+    columns = state.columns(row - 1)
+    kinds = np.where(is_bs, int(LandmarkType.BS), types[sources])
+    positions = np.vstack([parameters.bs, state.positions])[row]
+    ue, height = state.mean[:vehicle], parameters.ue_height
+    paths = observe(ue, speed, positions, kinds, parameters.bs, height)
+    to_position = coordinates.jacobians(state.axes, q)
+    blocks = np.zeros((len(sources), DIM, len(state.mean)))
+    blocks[:, :, :vehicle] = paths.ue_jacobian
+    for path in np.flatnonzero(~is_bs):
+        blocks[path][:, columns[path]] = paths.landmark_jacobian[path] @ to_position[row[path] - 1]
+    rows = (blocks * observed.used[:, :, None]).reshape(-1, len(state.mean))
+    return rows, masked_residual(observed, paths.mean).ravel()
 
 
 def _difference(mean: FloatArray, prior: FloatArray) -> FloatArray:
     difference = mean - prior
-    difference[2] = wrap_angle(difference[2])
+    difference[HEADING] = wrap_angle(difference[HEADING])
     return difference

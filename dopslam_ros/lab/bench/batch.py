@@ -20,6 +20,7 @@ from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.session.bounding import BoundsSession, WorldState
 from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.settings.layout import VEHICLE
 from dopslam_ros.lab.bench.records import Measured, NotMeasured, Ratio, figure, milliseconds
 from dopslam_ros.lab.study.executors import run_local
 from dopslam_ros.lab.study.plan import Plan
@@ -146,7 +147,9 @@ def endless(settled: int, steps: int) -> Endless:
     session = FilterSession(filter_parameters_for(scenario))
     laps = -(-steps // scenario.steps)
     # Without process noise the vehicle stays on its circle, however often it goes round.
-    endless = replace(scenario, controls=scenario.controls * laps, process_noise_std=(0.0,) * 4)
+    endless = replace(
+        scenario, controls=scenario.controls * laps, process_noise_std=(0.0,) * len(VEHICLE)
+    )
     before, smallest, asymmetry = 0, math.inf, 0.0
     for snapshot in simulate(endless, np.random.default_rng(1)):
         control = snapshot.control

@@ -18,7 +18,7 @@ from dopslam_ros.core.pmb import (
 )
 from dopslam_ros.core.pmb.coordinates import frames, placements
 from dopslam_ros.core.pmb.inactive import deactivate
-from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.core.settings.layout import SPACE, LandmarkType
 from dopslam_ros.lab.bench.records import Measured, Ratio, milliseconds, times_as_long
 from dopslam_ros.lab.bench.steps import Task, filter_step, inputs_of, step_seconds
 from dopslam_ros.simulation.matched import filter_parameters_for
@@ -116,9 +116,11 @@ def street(in_view: int, far: int, steps: int) -> Scenario:
     start = np.array([-5.0, 10.0, 0.0])
     number = np.arange(in_view - len(WALLS))
     # Evenly over a ring around the vehicle, as the seeds of a sunflower.
-    reach = np.sqrt(15.0**2 + (42.0**2 - 15.0**2) * (number + 0.5) / max(len(number), 1))
+    radius = np.sqrt(15.0**2 + (42.0**2 - 15.0**2) * (number + 0.5) / max(len(number), 1))
     bearing = number * np.pi * (3.0 - np.sqrt(5.0))
-    near = start + np.stack([reach * np.cos(bearing), reach * np.sin(bearing), 4.0 + number % 7], 1)
+    near = start + np.stack(
+        [radius * np.cos(bearing), radius * np.sin(bearing), 4.0 + number % 7], 1
+    )
     number = np.arange(far)
     along = np.where(number % 2 == 0, 1.0, -1.0) * (300.0 + 10.0 * (number // 2))
     away = np.stack([along, np.where(number % 4 < 2, 15.0, -15.0), 4.0 + number % 7], 1)
@@ -137,7 +139,7 @@ def with_map(parameters: FilterParameters, positions: FloatArray, types: IntArra
     """The density before the first snapshot with a map in it.
 
     The landmarks are where they are, known well on their own, and all share the error of the
-    vehicle's position, so that all are correlated. Those out of view sleep, as the filter has it.
+    vehicle's position, so that all are correlated. Those out of view are inactive.
 
     Args:
         parameters: of the filter.
@@ -162,12 +164,14 @@ def _appended(
     origin = np.tile(np.append(state.ue_mean[:2], 0.0), (count, 1))
     axes = frames(positions - origin)
     q = placements(origin, axes, positions)
-    reach = q[:, 0]
-    # By the axes of its frame a landmark moves along the range and by reach times the tangents.
-    to_q = np.swapaxes(axes, 1, 2) / np.stack([np.ones(count), reach, reach], axis=1)[:, :, None]
+    distance = q[:, 0]
+    # By the axes of its frame a landmark moves along the range and by distance times the tangents.
+    to_q = (
+        np.swapaxes(axes, 1, 2) / np.stack([np.ones(count), distance, distance], axis=1)[:, :, None]
+    )
     own = [KNOWN_STD**2 * one @ one.T for one in to_q]
-    follows = np.zeros((3 * count, old))
-    follows[:, :2] = to_q.reshape(-1, 3)[:, :2]  # x and y of the vehicle
+    follows = np.zeros((SPACE * count, old))
+    follows[:, :2] = to_q.reshape(-1, SPACE)[:, :2]  # x and y of the vehicle
     cross = follows @ state.covariance
     joint = block_diag(state.covariance, *own)
     joint[old:, :old], joint[:old, old:] = cross, cross.T

@@ -14,6 +14,7 @@ import numpy as np
 
 from dopslam_ros.bag import BagReader, BagWriter, message_class, serialize
 from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.settings.layout import VEHICLE
 from dopslam_ros.lab.bench.batch import in_a_child, occupied
 from dopslam_ros.lab.bench.records import Measured, Ratio, figure, milliseconds
 from dopslam_ros.messages import topics
@@ -82,7 +83,9 @@ def endless_scene(rate: float, steps: int) -> Scenario:
     """The paper's scene in quick succession; without noise the vehicle stays on its circle."""
     paper = load_scenario("paper")
     controls = paper.controls[:1] * steps
-    return replace(paper, period=1.0 / rate, controls=controls, process_noise_std=(0.0,) * 4)
+    return replace(
+        paper, period=1.0 / rate, controls=controls, process_noise_std=(0.0,) * len(VEHICLE)
+    )
 
 
 def record_inputs(bag: Path, steps: int) -> None:

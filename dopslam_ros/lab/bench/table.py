@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from dopslam_ros.lab.bench.records import Figure, Record
+from dopslam_ros.lab.bench.results import Results
 
 
 def text_table(records: Sequence[Record]) -> str:
@@ -24,7 +24,7 @@ def text_table(records: Sequence[Record]) -> str:
     return "\n".join(lines)
 
 
-def markdown(records: Sequence[Record], machine: Mapping[str, Any], quick: bool) -> str:
+def markdown(results: Results) -> str:
     """A document of the same."""
     lines = [
         "# Benchmarks",
@@ -34,11 +34,11 @@ def markdown(records: Sequence[Record], machine: Mapping[str, Any], quick: bool)
         " over to other machines better than the times do.",
         "",
     ]
-    if quick:
+    if results.quick:
         lines += ["Measured with `--quick`: rough figures from few repetitions.", ""]
     lines += ["| machine | |", "|---|---|"]
-    lines += [f"| {name.replace('_', ' ')} | {value} |" for name, value in machine.items()]
-    for record in records:
+    lines += [f"| {name.replace('_', ' ')} | {value} |" for name, value in results.machine.items()]
+    for record in results.records:
         lines += ["", f"## {record.name}", "", record.title, ""]
         if record.measured.figures:
             lines += ["| | minimum | median | p99 | count |", "|---|---|---|---|---|"]

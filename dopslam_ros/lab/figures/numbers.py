@@ -14,6 +14,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.quantiles import chi_square
+from dopslam_ros.core.settings.layout import VEHICLE
 from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.lab.published import Published, PublishedBounds, published
 from dopslam_ros.lab.study.results import Results
@@ -24,7 +25,9 @@ from dopslam_ros.simulation.scenario import Scenario, load_scenario, scenario_co
 # The scenes that stand for the paper's simulations, and for its figure of the bounds.
 PAPER_SCENE = "paper"
 BOUNDS_SCENE = "paper_bounds"
-STATE_SIZE = 4
+STATE_SIZE = len(VEHICLE)
+# Of the vehicle, with their units.
+QUANTITIES = {"position": "m", "heading": "deg", "clock bias": "m"}
 PROBABILITY = 0.95
 
 
@@ -40,11 +43,11 @@ class Curve(NamedTuple):
 
     Attributes:
         mean: (K,).
-        spread: (K,) standard error of the mean; 0 where there is one run only.
+        error: (K,) standard error of the mean; 0 where there is one run only.
     """
 
     mean: FloatArray
-    spread: FloatArray
+    error: FloatArray
 
 
 def paper_beside(results: Results) -> Published | None:
@@ -74,8 +77,8 @@ def curve(results: Results, name: str, doppler: float | None, field: str) -> Cur
     if not np.isfinite(table).all():
         return None
     runs, steps = table.shape
-    spread = table.std(axis=0, ddof=1) / math.sqrt(runs) if runs > 1 else np.zeros(steps)
-    return Curve(table.mean(axis=0), spread)
+    error = table.std(axis=0, ddof=1) / math.sqrt(runs) if runs > 1 else np.zeros(steps)
+    return Curve(table.mean(axis=0), error)
 
 
 def squared_errors(results: Results, name: str, doppler: float | None) -> FloatArray:

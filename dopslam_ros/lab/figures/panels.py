@@ -86,7 +86,7 @@ def line(axes: Axes, values: FloatArray, look: Look) -> None:
 def curve(axes: Axes, values: Curve, look: Look) -> None:
     """A mean with its standard error as a band."""
     steps = np.arange(1, len(values.mean) + 1)
-    ends = values.mean - values.spread, values.mean + values.spread
+    ends = values.mean - values.error, values.mean + values.error
     axes.fill_between(steps, *ends, color=look.colour, alpha=0.25, lw=0)
     line(axes, values.mean, look)
 

@@ -10,41 +10,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from matplotlib.style import context as style_context
 
 from dopslam_ros.lab.figures import numbers
+from dopslam_ros.lab.figures.numbers import QUANTITIES
 from dopslam_ros.lab.figures.panels import band, curve, grid, legend, line, log_scale, pairs
+from dopslam_ros.lab.figures.rmse import rmse_bars
 from dopslam_ros.lab.figures.style import (
+    COMPARED,
     LOOKS,
     PUBLISHED,
     RC,
-    Look,
+    condition,
     doppler_colours,
-    kind,
     looks,
+    of_kinds,
     save,
 )
 from dopslam_ros.lab.published import Kind, published
 from dopslam_ros.lab.study.results import Results
-from dopslam_ros.offline.metrics import Rmse
 
-# The filters that stand beside the paper's: the default, and the paper's form.
-COMPARED = ("joint", "marginal")
-QUANTITIES = {"position": "m", "heading": "deg", "clock bias": "m"}
 BOUNDS = ("position: PEB [m]", "heading: HEB [deg]", "clock bias: CEB [m]", "map: mean LEB [m]")
-# Of the bound on a bar: black, with a white rim on dark bars.
-MARK: dict[str, Any] = {
-    "color": "black",
-    "lw": 2.0,
-    "path_effects": [withStroke(linewidth=4.0, foreground="white")],
-}
-# The length of a bar that runs out of its panel is written on it.
-OUTSIDE: dict[str, Any] = {
-    "va": "center",
-    "fontsize": 8.5,
-    "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 1.0},
-}
 
 
 def draw_study(results: Results, folder: Path) -> list[str]:
@@ -76,25 +62,17 @@ def missing(results: Results) -> list[str]:
         if doppler not in plan.dopplers:
             texts.append(f"the paper's case {condition(doppler)}")
     for name in LOOKS:
-        if not _filters(results, (name,)):
+        if not of_kinds(results.plan.filters, (name,)):
             texts.append(f"filter {name}")
     for figure, plot in FIGURES.items():
         known = _known(results, plot)
         if plot.field and not known:
             texts.append(f"figure {figure}, which shows {', '.join(plot.kinds)}")
             continue
-        unknown = [name for name in _filters(results, plot.kinds) if name not in known]
+        unknown = [name for name in of_kinds(results.plan.filters, plot.kinds) if name not in known]
         if unknown:
             texts.append(f"{', '.join(unknown)} in figure {figure}")
     return texts
-
-
-def condition(doppler: float | None) -> str:
-    """A Doppler noise [m/s] in words."""
-    return "without Doppler" if doppler is None else f"with Doppler, {doppler:g} m/s"
-
-
-# --- figures -------------------------------------------------------------------------------------
 
 
 def _bounds(_: Results) -> Figure:
@@ -130,7 +108,7 @@ def _gospa(results: Results, landmarks: Kind) -> Figure:
         theirs = None if paper is None else paper.gospa_at(landmarks, doppler)
         if theirs is not None:
             line(axes, theirs, PUBLISHED)
-        for name, look in looks(_filters(results, COMPARED)).items():
+        for name, look in looks(of_kinds(results.plan.filters, COMPARED)).items():
             ours = numbers.curve(results, name, doppler, f"gospa_{landmarks}")
             if ours is not None:
                 curve(axes, ours, look)
@@ -158,38 +136,6 @@ def _association(results: Results) -> Figure:
         axes.set_title(condition(doppler))
         axes.set_ylim(0.0, 1.03)
         axes.legend(loc="lower right")
-    return figure
-
-
-def _rmse(results: Results) -> Figure:
-    """Bars of the RMSE over all steps and runs, each with a mark at the bound."""
-    bars, cases = _bars(results), numbers.cases(results)
-    rows = list(dict.fromkeys(bar.look for bar in bars))
-    thick, colours = 0.8 / len(cases), doppler_colours(len(cases))
-    figure, panels = grid(1, len(QUANTITIES), 1.2 + 0.22 * len(rows) * len(cases), "all")
-    for place, (axes, quantity) in enumerate(zip(panels[0], QUANTITIES, strict=True)):
-        reach = 1.35 * _longest(bars, place)
-        for bar in bars:
-            case = cases.index(bar.doppler)
-            level = rows.index(bar.look) + (case - (len(cases) - 1) / 2.0) * thick
-            value, label = bar.rmse[place], condition(bar.doppler)
-            hatch = "////" if bar.look == PUBLISHED else ""
-            axes.barh(
-                level, value, thick, color=colours[case], hatch=hatch, ec="white", label=label
-            )
-            ends = level - thick / 2.0, level + thick / 2.0
-            axes.vlines(bar.bound[place], *ends, label="posterior bound, RMS", **MARK)
-            if value < reach:
-                end = max(value, bar.bound[place]) + 0.02 * reach
-                axes.text(end, level, f"{value:.3f}", va="center", fontsize=8.5)
-            else:
-                axes.text(0.98 * reach, level, f"{value:.3f} →", ha="right", **OUTSIDE)
-        axes.set_yticks(range(len(rows)), [look.label for look in rows])
-        axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_xlim(0.0, reach)
-        axes.grid(visible=False, axis="y")
-        axes.set_xlabel(f"RMSE of {quantity} [{QUANTITIES[quantity]}]")
-    legend(figure, panels, len(cases) + 1)
     return figure
 
 
@@ -248,50 +194,11 @@ FIGURES = {
     "bounds": Plot(_bounds, "", ()),
     "gospa_va": Plot(partial(_gospa, landmarks="va"), "gospa_va", COMPARED),
     "gospa_sp": Plot(partial(_gospa, landmarks="sp"), "gospa_sp", COMPARED),
-    "rmse": Plot(_rmse, "error_x", tuple(LOOKS)),
+    "rmse": Plot(rmse_bars, "error_x", tuple(LOOKS)),
     "association": Plot(_association, "correct_weight", tuple(LOOKS)),
     "nees": Plot(_nees, "nees", tuple(LOOKS)),
     "error_over_bound": Plot(_error_over_bound, "error_x", tuple(LOOKS)),
 }
-
-
-# --- pieces --------------------------------------------------------------------------------------
-
-
-class Bar(NamedTuple):
-    """RMSE and RMS bound of a filter in one case, in the units of QUANTITIES."""
-
-    look: Look
-    doppler: float | None
-    rmse: Rmse
-    bound: Rmse
-
-
-def _bars(results: Results) -> list[Bar]:
-    """The paper's behind those that stand beside it, then the other filters of the study."""
-    paper = numbers.paper_beside(results)
-    bars = []
-    for doppler in numbers.cases(results):
-        for name, look in looks(results.plan.filters).items():
-            rmse = numbers.root_mean(numbers.squared_errors(results, name, doppler))
-            bound = numbers.root_mean(numbers.squared_bounds(results, name, doppler))
-            bars.append(Bar(look, doppler, rmse, bound))
-        theirs = None if paper is None else paper.rmse_at(doppler)
-        if theirs is not None:
-            bars.append(Bar(PUBLISHED, doppler, theirs, bound))  # of the same runs for all
-    beside = looks(_filters(results, COMPARED)).values()
-    return sorted(bars, key=lambda bar: (bar.look not in beside, bar.look != PUBLISHED))
-
-
-def _longest(bars: list[Bar], place: int) -> float:
-    """The longest bar but for those of dead reckoning, which may run out of the panel."""
-    lengths = [bar.rmse[place] for bar in bars if bar.look != LOOKS["dead_reckoning"]]
-    return max(lengths or [bar.rmse[place] for bar in bars])
-
-
-def _filters(results: Results, kinds: tuple[str, ...]) -> list[str]:
-    """The labels of a study that name one of some filters."""
-    return [label for label in results.plan.filters if kind(label) in kinds]
 
 
 def _known(results: Results, plot: Plot) -> list[str]:
@@ -299,6 +206,6 @@ def _known(results: Results, plot: Plot) -> list[str]:
     case = results.plan.dopplers[0]
     return [
         label
-        for label in _filters(results, plot.kinds)
+        for label in of_kinds(results.plan.filters, plot.kinds)
         if numbers.curve(results, label, case, plot.field) is not None
     ]

@@ -12,7 +12,7 @@ from matplotlib.patches import Ellipse
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.quantiles import chi_square
-from dopslam_ros.core.settings.layout import LandmarkType
+from dopslam_ros.core.settings.layout import CLOCK_BIAS, HEADING, VEHICLE, LandmarkType, X, Y
 from dopslam_ros.lab.figures.style import BOUND, ESTIMATE, TRUTH
 from dopslam_ros.messages.markers import ELLIPSOID_PROBABILITY, LOOKS
 from dopslam_ros.offline.metrics import state_errors
@@ -78,8 +78,8 @@ def _draw_map(axes: Axes, run: Replay) -> None:
                     linewidths=1.2,
                     label=f"{NAMES[kind]}, true",
                 )
-    truth = np.array([run.truth[s] for s in sorted(run.truth)]).reshape(-1, 4)
-    track = np.array([output.state.ue_mean for output in run.outputs]).reshape(-1, 4)
+    truth = np.array([run.truth[s] for s in sorted(run.truth)]).reshape(-1, len(VEHICLE))
+    track = np.array([output.state.ue_mean for output in run.outputs]).reshape(-1, len(VEHICLE))
     axes.plot(truth[:, 0], truth[:, 1], color=TRUTH, lw=3, alpha=0.4, label="track, true")
     axes.plot(track[:, 0], track[:, 1], color=ESTIMATE, lw=1.2, label="track, estimated")
     for output in run.outputs[:: max(1, len(run.outputs) // 12)]:
@@ -97,10 +97,10 @@ def _draw_map(axes: Axes, run: Replay) -> None:
                 color=LOOKS[kind].colour,
                 label=f"{NAMES[kind]}, estimated",
             )
-            for place, covariance in zip(
+            for position, covariance in zip(
                 landmarks.positions[mine], landmarks.covariances[mine], strict=True
             ):
-                axes.add_patch(_ellipse(place[:2], covariance[:2, :2], LOOKS[kind].colour))
+                axes.add_patch(_ellipse(position[:2], covariance[:2, :2], LOOKS[kind].colour))
     axes.set_aspect("equal")
     axes.set_title(f"95 % ellipses, drawn {MAGNIFIED:g} times larger", fontsize="medium")
     axes.set_xlabel("x [m]")
@@ -123,14 +123,20 @@ def _ellipse(center: FloatArray, covariance: FloatArray, colour: object) -> Elli
 
 def _errors(run: Replay) -> FloatArray:
     """(K, 3) magnitudes of the errors of position [m], heading [rad], clock bias [m]."""
-    missing = np.full(4, np.nan)
+    missing = np.full(len(VEHICLE), np.nan)
     errors = np.array(
         [state_errors(o.state.ue_mean, run.truth.get(o.stamp_ns, missing)) for o in run.outputs]
-    ).reshape(-1, 4)
-    return np.column_stack([np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2:])])
+    ).reshape(-1, len(VEHICLE))
+    return np.column_stack(
+        [np.hypot(errors[:, X], errors[:, Y]), np.abs(errors[:, [HEADING, CLOCK_BIAS]])]
+    )
 
 
 def _sigmas(run: Replay) -> FloatArray:
     """(K, 3) the standard deviations the filter gives for them."""
-    variance = np.array([np.diagonal(o.state.ue_covariance) for o in run.outputs]).reshape(-1, 4)
-    return np.sqrt(np.column_stack([variance[:, 0] + variance[:, 1], variance[:, 2:]]))
+    variance = np.array([np.diagonal(o.state.ue_covariance) for o in run.outputs]).reshape(
+        -1, len(VEHICLE)
+    )
+    return np.sqrt(
+        np.column_stack([variance[:, X] + variance[:, Y], variance[:, [HEADING, CLOCK_BIAS]]])
+    )

@@ -59,6 +59,8 @@ LOOKS = {
     "genie": Look("association known", "#009e73", "-", "s", 1.8),
     "dead_reckoning": Look("dead reckoning", "0.6", "-", "x", 1.8),
 }
+# The filters that stand beside the paper's: the default, and the paper's form.
+COMPARED = ("joint", "marginal")
 # For filters with settings of their own, as joint:gamma=20.
 VARIANTS = (("#0072b2", "^"), ("#8c564b", "v"), ("#7f3c8d", "D"), ("0.25", "P"))
 PUBLISHED = Look("Ge et al., published", "black", ":", "o")
@@ -67,6 +69,16 @@ PUBLISHED = Look("Ge et al., published", "black", ":", "o")
 def kind(label: str) -> str:
     """The filter that a label of a study names, without the settings behind a colon."""
     return label.partition(":")[0]
+
+
+def of_kinds(labels: Iterable[str], kinds: tuple[str, ...]) -> list[str]:
+    """Those of the labels of a study that name one of some filters."""
+    return [label for label in labels if kind(label) in kinds]
+
+
+def condition(doppler: float | None) -> str:
+    """A Doppler noise [m/s] in words."""
+    return "without Doppler" if doppler is None else f"with Doppler, {doppler:g} m/s"
 
 
 def looks(labels: Iterable[str]) -> dict[str, Look]:

@@ -176,13 +176,13 @@ def _errors(size: str, labels: Sequence[str]) -> Chart:
 
 def _differences(size: str, labels: Sequence[str], runs: int) -> Chart:
     others = range(1, len(labels))
-    bands = [trace for n in others for trace in _spread(size, n)] if runs > 1 else []
+    bands = [trace for n in others for trace in _interval_band(size, n)] if runs > 1 else []
     lines = [line(f"less_{size}_{n}", escape(labels[n]), **_look(n)) for n in others]
     layout = {"yaxis": {"title": {"text": f"[{UNITS[size]}]"}, "zeroline": True}}
     return Chart(f"less-{size}", size.capitalize(), "", [*bands, *lines], layout)
 
 
-def _spread(size: str, number: int) -> Iterable[dict[str, Any]]:
+def _interval_band(size: str, number: int) -> Iterable[dict[str, Any]]:
     """The interval of a mean difference."""
     look = _look(number)
     edge = {"width": 0, "hoverinfo": "skip", "showlegend": False}

@@ -11,6 +11,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.quantiles import student_t
+from dopslam_ros.core.settings.layout import VEHICLE, X, Y
 from dopslam_ros.lab.report.cases import Case
 from dopslam_ros.lab.report.series import SIZES, Series, series_of
 from dopslam_ros.lab.study.results import Case as StudyCase
@@ -130,18 +131,18 @@ def _curves(cases: Sequence[Case], steps: IntArray, same: bool) -> Series:
         columns |= _case_curves(number, _stacked(runs))
         if same and number:
             columns |= _differences(number, _stacked(runs), _stacked(every[0]))
-        states = [output.state.ue_mean for output in cases[number].runs[0].outputs]
-        columns[f"x_{number}"], columns[f"y_{number}"] = np.array(states)[:, :2].T
+        track = [output.state.ue_mean for output in cases[number].runs[0].outputs]
+        columns[f"x_{number}"], columns[f"y_{number}"] = np.array(track)[:, [X, Y]].T
     first = cases[0].runs[0]
     truth = [first.truth[o.stamp_ns] for o in first.outputs if o.stamp_ns in first.truth]
-    places = np.array(truth).reshape(-1, 4)
+    states = np.array(truth).reshape(-1, len(VEHICLE))
     low, high = nees_band(len(cases[0].runs))
     return {
         **columns,
         "nees_low": np.full(len(steps), low),
         "nees_high": np.full(len(steps), high),
-        "true_x": places[:, 0],
-        "true_y": places[:, 1],
+        "true_x": states[:, X],
+        "true_y": states[:, Y],
     }
 
 
@@ -169,14 +170,14 @@ def _differences(number: int, ours: Series, theirs: Series) -> Series:
     """Of the magnitudes of the errors of the same runs, with the interval of their mean."""
     columns: Series = {}
     for size in SIZES:
-        mean, reach = _mean_and_reach(ours[f"error_{size}"] - theirs[f"error_{size}"])
+        mean, half = _mean_and_half_width(ours[f"error_{size}"] - theirs[f"error_{size}"])
         columns[f"less_{size}_{number}"] = mean
-        columns[f"less_low_{size}_{number}"] = mean - reach
-        columns[f"less_high_{size}_{number}"] = mean + reach
+        columns[f"less_low_{size}_{number}"] = mean - half
+        columns[f"less_high_{size}_{number}"] = mean + half
     return columns
 
 
-def _mean_and_reach(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _mean_and_half_width(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean (K,) over runs (runs, K), and how far its CONFIDENCE interval reaches; NaN from one."""
     count = len(values)
     mean = values.mean(axis=0)

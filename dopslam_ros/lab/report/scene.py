@@ -13,14 +13,14 @@ from dopslam_ros.core.models.channel import incidence_points
 from dopslam_ros.core.pmb import LandmarkEstimates
 from dopslam_ros.core.pmb.estimates import reported_landmarks
 from dopslam_ros.core.session.output import FilterOutput
-from dopslam_ros.core.settings.layout import COMPONENTS, NONE, LandmarkType
+from dopslam_ros.core.settings.layout import COMPONENTS, NONE, VEHICLE, LandmarkType
 from dopslam_ros.lab.report.series import Series
 from dopslam_ros.offline.replay_result import Replay
 
 # What is not reported as a landmark yet is shown from this probability of existence on, when its
 # place is not worse known than so many times report_std.
 CANDIDATE_EXISTENCE = 0.05
-CANDIDATE_SPREAD = 3.0
+CANDIDATE_STD = 3.0
 # Length of the stub that shows from where an unexplained path came, over the size of the scene.
 STUB = 0.06
 
@@ -61,9 +61,11 @@ def scene_of(run: Replay) -> Series:
             (``path_x``, ``path_y``) and what was measured.
     """
     outputs = run.outputs
-    states = np.array([o.state.ue_mean for o in outputs]).reshape(-1, 4)
-    unknown = np.full(4, np.nan)
-    truth = np.array([run.truth.get(o.stamp_ns, unknown) for o in outputs]).reshape(-1, 4)
+    states = np.array([o.state.ue_mean for o in outputs]).reshape(-1, len(VEHICLE))
+    unknown = np.full(len(VEHICLE), np.nan)
+    truth = np.array([run.truth.get(o.stamp_ns, unknown) for o in outputs]).reshape(
+        -1, len(VEHICLE)
+    )
     covariances = np.array([o.state.ue_covariance[:2, :2] for o in outputs]).reshape(-1, 2, 2)
     everything = [_every_track(output) for output in outputs]
     stub = STUB * _size(run, states)
@@ -113,11 +115,11 @@ def _every_track(output: FilterOutput) -> LandmarkEstimates:
 def _landmarks(everything: Sequence[LandmarkEstimates], run: Replay) -> Series:
     rows = []
     for tracks in everything:
-        spread = np.sqrt(np.trace(tracks.covariances, axis1=1, axis2=2))
+        std = np.sqrt(np.trace(tracks.covariances, axis1=1, axis2=2))
         limit, enough = run.parameters.report_std, run.parameters.report_existence
-        reported = (tracks.existence >= enough) & (spread <= limit)
+        reported = (tracks.existence >= enough) & (std <= limit)
         shown = reported | (
-            (tracks.existence >= CANDIDATE_EXISTENCE) & (spread <= CANDIDATE_SPREAD * limit)
+            (tracks.existence >= CANDIDATE_EXISTENCE) & (std <= CANDIDATE_STD * limit)
         )
         table = {
             "id": tracks.ids,
@@ -128,7 +130,7 @@ def _landmarks(everything: Sequence[LandmarkEstimates], run: Replay) -> Series:
             "pxx": tracks.covariances[:, 0, 0],
             "pxy": tracks.covariances[:, 0, 1],
             "pyy": tracks.covariances[:, 1, 1],
-            "sigma": spread,
+            "sigma": std,
             "existence": tracks.existence,
             "reported": reported,
         }

@@ -11,13 +11,14 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.quantiles import chi_square
 from dopslam_ros.core.session.output import FilterOutput
+from dopslam_ros.core.settings.layout import CLOCK_BIAS, HEADING, VEHICLE, X, Y
 from dopslam_ros.offline.evaluation import StepRecord
 from dopslam_ros.offline.replay_result import Replay
 
 Series: TypeAlias = dict[str, FloatArray]
 
 CONFIDENCE = 0.95
-UE_DIMENSION = 4
+UE_DIMENSION = len(VEHICLE)
 # One standard deviation and error of a state (x, y, heading, clock bias) as three numbers.
 SIZES = ("position", "heading", "clock")
 SCALES = (1.0, math.degrees(1.0), 1.0)
@@ -64,14 +65,18 @@ def _sizes(name: str, values: FloatArray) -> Series:
 
 
 def _magnitudes(states: FloatArray) -> FloatArray:
-    """(K, 3) magnitudes of position, heading and clock of (K, 4)."""
-    return np.column_stack([np.hypot(states[:, 0], states[:, 1]), np.abs(states[:, 2:])])
+    """(K, 3) magnitudes of position, heading and clock of (K, U)."""
+    return np.column_stack(
+        [np.hypot(states[:, X], states[:, Y]), np.abs(states[:, [HEADING, CLOCK_BIAS]])]
+    )
 
 
 def _sigmas(outputs: Sequence[FilterOutput]) -> FloatArray:
     """(K, 3) the standard deviations that the filter gives for them."""
-    variance = _rows([np.diagonal(o.state.ue_covariance) for o in outputs], 4)
-    return np.sqrt(np.column_stack([variance[:, 0] + variance[:, 1], variance[:, 2:]]))
+    variance = _rows([np.diagonal(o.state.ue_covariance) for o in outputs], UE_DIMENSION)
+    return np.sqrt(
+        np.column_stack([variance[:, X] + variance[:, Y], variance[:, [HEADING, CLOCK_BIAS]]])
+    )
 
 
 def _bounds_without_doppler(run: Replay) -> FloatArray:

@@ -17,7 +17,7 @@ import os
 import signal
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
@@ -29,6 +29,36 @@ from dopslam_ros.lab.study.run import Outcome, execute
 CONNECT_SECONDS = 8.0
 # Variables by which a user keeps BLAS to a number of threads.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def outcomes_of(
+    plan: Plan,
+    tasks: Sequence[Task],
+    workers: int | None,
+    scheduler: str | None,
+    say: Callable[[str], None],
+) -> Generator[Outcome, None, None]:
+    """Computes tasks here, or on a cluster where one is named, and yields each as it ends.
+
+    Args:
+        plan: the study.
+        tasks: those to do.
+        workers: processes of this machine; None for one a core.
+        scheduler: address of a Dask scheduler, or None.
+        say: is told what keeps the study waiting, and what its digits depend on.
+
+    Raises:
+        StudyError: a process was killed, or the cluster cannot be used.
+    """
+    if scheduler is not None:
+        yield from run_on_dask(plan, tasks, scheduler, say)
+        return
+    if not blas_is_limited():
+        say(
+            "BLAS may use several threads, and the last digits depend on how many: install"
+            " 'threadpoolctl', or set OMP_NUM_THREADS=1"
+        )
+    yield from run_local(plan, tasks, workers)
 
 
 def run_local(plan: Plan, tasks: Sequence[Task], workers: int | None) -> Iterator[Outcome]:

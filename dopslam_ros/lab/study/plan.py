@@ -14,7 +14,7 @@ import scipy
 from dopslam_ros import __version__
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.settings.parameters import ParameterError, checked_values
-from dopslam_ros.lab.study.estimators import check_label
+from dopslam_ros.lab.study.labels import check_label
 from dopslam_ros.simulation.scenario import Scenario, parse_scenario, scenario_content
 
 
@@ -45,7 +45,7 @@ class Plan:
 
     Attributes:
         scenario: the scene; its own Doppler noise counts for nothing, that of ``dopplers`` does.
-        filters: labels as ``estimators.make_estimator`` takes them; the others are compared with
+        filters: labels as ``labels.make_estimator`` takes them; the others are compared with
             the first.
         dopplers: noises of the Doppler [m/s], None for without Doppler.
         runs: how many.

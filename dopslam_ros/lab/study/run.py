@@ -11,7 +11,7 @@ from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.session.bounding import BoundsSession, WorldState
 from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.core.settings.model import with_doppler_std
-from dopslam_ros.lab.study.estimators import make_estimator
+from dopslam_ros.lab.study.labels import make_estimator
 from dopslam_ros.lab.study.plan import Plan, StudyError, Task, run_generator, software
 from dopslam_ros.offline.evaluation import StepRecord, judge_step
 from dopslam_ros.simulation.matched import bounds_parameters_for

@@ -14,6 +14,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.linalg.quantiles import chi_square
+from dopslam_ros.core.settings.layout import VEHICLE
 from dopslam_ros.lab.study.results import Case, Results
 from dopslam_ros.lab.study.run import FIELDS
 
@@ -24,7 +25,7 @@ RESAMPLES = 2000
 # Resamples drawn at once: bounds the memory.
 CHUNK = 100
 SEED = 20_220_601
-UE_DIMENSION = 4
+UE_DIMENSION = len(VEHICLE)
 # What is compared with the first filter, as a ratio.
 COMPARED = ("position_rmse", "heading_rmse_deg", "clock_bias_rmse", "gospa_va", "gospa_sp")
 
@@ -157,16 +158,16 @@ def _row(
     case: Case, first: str, averages: Mapping[Case, Averages], drawn: Mapping[Case, Averages]
 ) -> dict[str, Any]:
     label, doppler = case
-    values, spreads = _found(averages[case]), statistics(drawn[case])
+    values, resampled = _found(averages[case]), statistics(drawn[case])
     row: dict[str, Any] = {"filter": label, "doppler": doppler}
-    row |= {name: _interval(values[name], spreads[name])._asdict() for name in values}
+    row |= {name: _interval(values[name], resampled[name])._asdict() for name in values}
     if label != first:
         ours, theirs = values, _found(averages[first, doppler])
-        their_spreads = statistics(drawn[first, doppler])
+        their_resampled = statistics(drawn[first, doppler])
         with np.errstate(divide="ignore", invalid="ignore"):
             row["to_first"] = {
                 name: _interval(
-                    ours[name] / theirs[name], spreads[name] / their_spreads[name]
+                    ours[name] / theirs[name], resampled[name] / their_resampled[name]
                 )._asdict()
                 for name in COMPARED
             }
@@ -189,9 +190,9 @@ def _resampled(averages: Averages, draws: IntArray) -> Averages:
     return Averages(*means)
 
 
-def _interval(value: FloatArray, spread: FloatArray) -> Interval:
+def _interval(value: FloatArray, resampled: FloatArray) -> Interval:
     """The percentile interval of the bootstrap."""
     tail = (1.0 - CONFIDENCE) / 2.0
     with np.errstate(invalid="ignore"):
-        low, high = np.quantile(spread, [tail, 1.0 - tail])
+        low, high = np.quantile(resampled, [tail, 1.0 - tail])
     return Interval(float(value), float(low), float(high))

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from dopslam_ros.core.association.assignment import clusters, k_best_assignments
+from dopslam_ros.core.association.assignment import k_best_assignments
+from dopslam_ros.core.association.clusters import cluster_heads
+from dopslam_ros.core.association.shortest_path import sparse as sparse_problem
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.settings.layout import NONE
 
@@ -225,9 +227,8 @@ def test_clusters_are_found_and_ranked_as_one_problem() -> None:
     cost = np.full((4, 5), np.inf)
     cost[np.ix_([0, 2], [1, 3])] = rng.normal(size=(2, 2))
     cost[np.ix_([1, 3], [0, 4])] = rng.normal(size=(2, 2))
-    parts = clusters(np.isfinite(cost))
-    assert [(r.tolist(), c.tolist()) for r, c in parts] == [([0, 2], [1, 3]), ([1, 3], [0, 4])]
     idle = rng.normal(size=4)
+    assert cluster_heads(sparse_problem(cost, idle), 5).tolist() == [0, 1, 0, 1]
     for k in (1, 3, 7, 100):
         check(cost, idle, k)
 
@@ -239,7 +240,7 @@ def test_clusters_against_the_same_problem_made_dense() -> None:
         cost, idle = rng.normal(size=(5, 6)), rng.normal(size=5)
         gate = rng.random(cost.shape) < 0.6
         sparse, dense = np.where(gate, np.inf, cost), np.where(gate, 1e6, cost)
-        assert len(clusters(np.isfinite(dense))) == 1
+        assert not cluster_heads(sparse_problem(dense, idle), 6).any()
         one, other = k_best_assignments(sparse, idle, 12), k_best_assignments(dense, idle, 12)
         np.testing.assert_allclose(one.costs, other.costs[: len(one.costs)], atol=1e-6)
         np.testing.assert_array_equal(one.columns, other.columns[: len(one.columns)])

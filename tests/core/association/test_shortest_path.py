@@ -1,4 +1,4 @@
-"""Augmenting paths: the prices as the witness that a solution is the cheapest (LP duality)."""
+"""Augmenting paths: the dual variables as the witness that an assignment is the cheapest."""
 
 from __future__ import annotations
 
@@ -6,31 +6,24 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from dopslam_ros.core.association import shortest_path as matching_kernels
+from dopslam_ros.core.association import shortest_path as kernels
 from dopslam_ros.core.association.shortest_path import Search, Solution, Sparse, sparse
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.settings.layout import NONE
 
-augment = from_python(matching_kernels.augment)
-price_rows = from_python(matching_kernels.price_rows)
+new_solution = from_python(kernels.new_solution)
+new_search = from_python(kernels.new_search)
+augment = from_python(kernels.augment)
+set_row_duals = from_python(kernels.set_row_duals)
 
 
 def nothing_given(rows: int, columns: int) -> tuple[Solution, Search]:
-    ints = np.empty((3, columns + 1), np.int64)
-    return (
-        Solution(
-            np.full(rows, NONE),
-            np.full(columns + 1, NONE),
-            np.empty(rows),
-            np.zeros(columns + 1),
-        ),
-        Search(np.empty(columns + 1), ints[0], ints[1], ints[2], np.zeros(1, np.int64)),
-    )
+    return new_solution(rows, columns), new_search(columns)
 
 
 def assert_proven(problem: Sparse, solution: Solution, columns: int) -> None:
-    """Each row has a column of its own or the ground, and the prices say it is the cheapest way."""
+    """Each row has a column of its own or the idle one, and the duals prove it the cheapest."""
     has = problem.column[solution.pair]
     np.testing.assert_array_equal(problem.row[solution.pair], np.arange(len(has)))
     for column in range(columns):
@@ -44,7 +37,7 @@ def assert_proven(problem: Sparse, solution: Solution, columns: int) -> None:
 
 
 def cheapest(problem: Sparse, rows: int, columns: int) -> float:
-    """What SciPy pays, every row having a ground of its own; inf where it finds nothing."""
+    """What SciPy pays, every row having an idle column of its own; inf where it finds nothing."""
     square = np.full((rows, columns + rows), np.inf)
     column = np.where(problem.column < columns, problem.column, columns + problem.row)
     square[problem.row, column] = problem.cost
@@ -63,7 +56,7 @@ def random_costs(seed: int) -> tuple[FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_prices_prove_each_solution_and_what_comes_of_it_when_a_pair_is_forbidden(
+def test_dual_variables_prove_each_solution_and_what_comes_of_it_when_a_pair_is_forbidden(
     seed: int,
 ) -> None:
     cost, idle = random_costs(seed)
@@ -72,7 +65,7 @@ def test_prices_prove_each_solution_and_what_comes_of_it_when_a_pair_is_forbidde
     solution, search = nothing_given(rows, columns)
     for row in range(rows):
         assert augment(problem, solution, search, row, columns, 0)
-        price_rows(problem, solution)
+        set_row_duals(problem, solution)
     assert_proven(problem, solution, columns)
     for row in range(rows):
         pair = solution.pair[row]
@@ -83,7 +76,7 @@ def test_prices_prove_each_solution_and_what_comes_of_it_when_a_pair_is_forbidde
         assert possible == np.isfinite(cheapest(problem, rows, columns))
         if not possible:
             break
-        assert price_rows(problem, solution) == pytest.approx(cheapest(problem, rows, columns))
+        assert set_row_duals(problem, solution) == pytest.approx(cheapest(problem, rows, columns))
         assert_proven(problem, solution, columns)
 
 
@@ -93,7 +86,7 @@ def test_what_is_not_finite_is_no_pair() -> None:
     )
     assert problem.start.tolist() == [0, 2, 3]
     assert problem.row.tolist() == [0, 0, 1]
-    assert problem.column.tolist() == [0, 2, 3]  # the last one is the ground
+    assert problem.column.tolist() == [0, 2, 3]  # the last one is the idle column
     assert problem.cost.tolist() == [1.0, 2.0, 3.0]
 
 
@@ -106,5 +99,5 @@ def test_rows_before_the_fixed_one_keep_what_they_have(
     solution, search = nothing_given(2, 2)
     for row, kept in ((0, 0), (1, fixed)):
         assert augment(problem, solution, search, row, 2, kept)
-        cost = price_rows(problem, solution)
+        cost = set_row_duals(problem, solution)
     assert problem.column[solution.pair].tolist() == columns and cost == total

@@ -135,15 +135,13 @@ def compare(state: FilterState, density: textbook.Density) -> None:
     difference = (state.covariance - covariance) / np.outer(std, std)
     np.testing.assert_allclose(difference, 0.0, atol=TOLERANCE)
 
-    inactive_landmarks = {sleeper.landmark.id: sleeper for sleeper in density.inactive_landmarks}
-    everybody = state.inactive.everybody
-    assert sorted(inactive_landmarks) == (
-        [] if everybody is None else sorted(everybody.track_id.tolist())
-    )
-    for row, number in enumerate([] if everybody is None else everybody.track_id.tolist()):
-        sleeper = inactive_landmarks[number]
-        assert everybody.existence[row] == pytest.approx(sleeper.landmark.existence, abs=TOLERANCE)
-        error = (everybody.q[row] - sleeper.q) / np.sqrt(np.diagonal(sleeper.covariance))
+    expected = {one.landmark.id: one for one in density.inactive_landmarks}
+    inactive = state.inactive.landmarks
+    assert sorted(expected) == ([] if inactive is None else sorted(inactive.track_id.tolist()))
+    for row, number in enumerate([] if inactive is None else inactive.track_id.tolist()):
+        one = expected[number]
+        assert inactive.existence[row] == pytest.approx(one.landmark.existence, abs=TOLERANCE)
+        error = (inactive.q[row] - one.q) / np.sqrt(np.diagonal(one.covariance))
         np.testing.assert_allclose(error, 0.0, atol=TOLERANCE)
 
 
@@ -160,7 +158,7 @@ def test_the_step_is_that_of_the_textbook(scene: str, coupling: str, seed: int) 
     state, density = initial_filter_state(parameters), textbook.start(parameters)
     split = reactivated = 0
     for measurements, spans, speed in inputs(scenario, seed):
-        slept = {sleeper.landmark.id for sleeper in density.inactive_landmarks}
+        before = {one.landmark.id for one in density.inactive_landmarks}
         ours = step(state, measurements, spans, speed, parameters)
         theirs = textbook.textbook_step(density, measurements, spans, speed, parameters)
         state, (density, hypotheses) = ours.state, theirs
@@ -174,7 +172,7 @@ def test_the_step_is_that_of_the_textbook(scene: str, coupling: str, seed: int) 
         )
         compare(state, density)
         split += len(hypotheses) > len(weights)
-        reactivated += len(slept & {landmark.id for landmark in density.landmarks})
+        reactivated += len(before & {landmark.id for landmark in density.landmarks})
     # The run had everything: a map, as many associations as allowed, landmarks of open type.
     assert len(density.landmarks) >= 4 and len(hypotheses) == parameters.gamma
     assert split > 0 or scene not in list(SCENES)[:3]

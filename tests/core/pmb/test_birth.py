@@ -16,10 +16,10 @@ from dopslam_ros.core.models.channel import observe, residual
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
 from dopslam_ros.core.pmb.birth import Births
-from dopslam_ros.core.pmb.birth_from_python import propose
 from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
 from dopslam_ros.core.settings.layout import DIM, UNKNOWN_TYPES
+from dopslam_ros.lab.baselines.births import propose
 
 incidence_points = from_python(incidence_kernels.incidence_points)
 

@@ -18,7 +18,7 @@ from dopslam_ros.core.pmb import (
 )
 from dopslam_ros.core.pmb import step as step_function
 from dopslam_ros.core.pmb.coordinates import frames, placements
-from dopslam_ros.core.pmb.inactive import FORGOTTEN, as_of_now, deactivate, reactivate
+from dopslam_ros.core.pmb.inactive import FORGOTTEN, current, deactivate, reactivate
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks, together
 from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.simulation.matched import filter_parameters_for
@@ -70,7 +70,7 @@ def moved(state: FilterState, x: float, y: float) -> FilterState:
     return state.but(mean=mean)
 
 
-def test_only_scattering_points_out_of_view_fall_asleep() -> None:
+def test_only_scattering_points_out_of_view_become_inactive() -> None:
     state = deactivate(state_with(*SCENE), PARAMETERS)
     assert state.track_id.tolist() == [1, 3, 4]
     assert sorted(state.all_track_ids.tolist()) == [1, 2, 3, 4, 5]
@@ -80,7 +80,7 @@ def test_only_scattering_points_out_of_view_fall_asleep() -> None:
     assert reactivate(state, PARAMETERS) is state
 
 
-def test_what_slept_while_nothing_happened_comes_back_as_it_was_given_the_anchors() -> None:
+def test_what_was_inactive_while_nothing_happened_is_as_it_was_given_the_anchors() -> None:
     before = state_with(*SCENE)
     after = reactivate(moved(deactivate(before, PARAMETERS), 120.0, 0.0), PARAMETERS)
     assert after.track_id.tolist() == [1, 3, 4, 2]
@@ -100,7 +100,7 @@ def test_what_slept_while_nothing_happened_comes_back_as_it_was_given_the_anchor
     assert np.linalg.eigvalsh(q)[0] > 0.0
 
 
-def test_a_sleeper_learns_what_its_anchors_learn() -> None:
+def test_an_inactive_landmark_learns_what_its_anchors_learn() -> None:
     """As a Kalman update of all would have it, were it independent of the rest given them."""
     before = state_with(*SCENE)
     inactive = deactivate(before, PARAMETERS)
@@ -111,10 +111,10 @@ def test_a_sleeper_learns_what_its_anchors_learn() -> None:
     factor = np.ones(len(shrunk))
     factor[[4, 5, 6, 10, 11, 12]] = 0.5
     state = inactive.but(mean=learnt, covariance=shrunk * np.outer(factor, factor))
-    everybody = state.inactive.everybody
-    assert everybody is not None
-    q, covariance = as_of_now(state, everybody)
-    row = everybody.track_id.tolist().index(2)
+    landmarks = state.inactive.landmarks
+    assert landmarks is not None
+    q, covariance = current(state, landmarks)
+    row = landmarks.track_id.tolist().index(2)
     p = before.covariance
     gain = np.linalg.solve(p[np.ix_(anchors, anchors)], p[np.ix_(anchors, old)]).T
     np.testing.assert_allclose(
@@ -125,7 +125,7 @@ def test_a_sleeper_learns_what_its_anchors_learn() -> None:
     np.testing.assert_allclose(covariance[row], expected, atol=1e-12)
 
 
-def test_without_its_anchor_a_sleeper_is_what_it_was() -> None:
+def test_without_its_anchor_an_inactive_landmark_is_what_it_was() -> None:
     before = state_with(*SCENE)
     state = deactivate(before, PARAMETERS)
     lost = state.only(np.array([False, True, True]), np.array([False, True, True]))
@@ -135,7 +135,7 @@ def test_without_its_anchor_a_sleeper_is_what_it_was() -> None:
     assert not after.covariance[-3:, :-3].any()
 
 
-def test_a_map_without_anchors_sleeps_too() -> None:
+def test_a_map_without_anchors_becomes_inactive_too() -> None:
     before = state_with([FAR, NEAR], [SP, SP])
     state = deactivate(before, PARAMETERS)
     assert state.track_id.tolist() == [2]
@@ -151,7 +151,7 @@ def test_what_hardly_exists_is_forgotten_when_it_is_left_behind() -> None:
     assert sorted(state.all_track_ids.tolist()) == [1, 3, 4, 5]
 
 
-def test_the_reported_map_holds_those_asleep() -> None:
+def test_the_reported_map_holds_those_inactive() -> None:
     before = state_with(*SCENE)
     shown = reported_landmarks(before, PARAMETERS)
     inactive = reported_landmarks(deactivate(before, PARAMETERS), PARAMETERS)
@@ -161,12 +161,12 @@ def test_the_reported_map_holds_those_asleep() -> None:
     np.testing.assert_allclose(inactive.covariances, shown.covariances, atol=1e-9)
 
 
-def sleepers_at(place: FloatArray, reach: FloatArray, anchors: int) -> InactiveLandmarks:
+def landmarks_at(place: FloatArray, distance: FloatArray, anchors: int) -> InactiveLandmarks:
     count = len(place)
     return InactiveLandmarks(
         track_id=np.arange(count),
         existence=np.ones(count),
-        reach=reach,
+        reactivation_distance=distance,
         position=place,
         origin=np.zeros((count, 3)),
         axes=np.tile(np.eye(3), (count, 1, 1)),
@@ -182,29 +182,29 @@ def sleepers_at(place: FloatArray, reach: FloatArray, anchors: int) -> InactiveL
 @pytest.mark.parametrize("seed", range(5))
 def test_the_grid_finds_what_a_search_through_all_finds(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    place, reach = rng.uniform(-600.0, 600.0, (800, 3)), rng.uniform(20.0, 90.0, 800)
+    place, distance = rng.uniform(-600.0, 600.0, (800, 3)), rng.uniform(20.0, 90.0, 800)
     inactive = InactiveGrid()
-    everybody = sleepers_at(place, reach, 2)
+    landmarks = landmarks_at(place, distance, 2)
     for rows in np.array_split(rng.permutation(800), 40):
-        inactive = inactive.with_more(everybody.rows(rows), 50.0)
+        inactive = inactive.with_more(landmarks.rows(rows), 50.0)
     assert len(inactive) == 800
     for ue in rng.uniform(-700.0, 700.0, (30, 2)):
         found, rest = inactive.take(ue, 1.5, 50.0)
-        near = np.flatnonzero(np.linalg.norm(place[:, :2] - ue, axis=1) <= reach + 1.5)
+        near = np.flatnonzero(np.linalg.norm(place[:, :2] - ue, axis=1) <= distance + 1.5)
         assert sorted([] if found is None else found.track_id.tolist()) == near.tolist()
         assert len(rest) == 800 - len(near) and len(inactive) == 800
 
 
-def test_sleepers_with_different_numbers_of_anchors_go_together() -> None:
+def test_landmarks_with_different_numbers_of_anchors_go_together() -> None:
     rng = np.random.default_rng(1)
-    parts = [sleepers_at(rng.normal(size=(3, 3)), np.ones(3), count) for count in (0, 2, 1)]
+    parts = [landmarks_at(rng.normal(size=(3, 3)), np.ones(3), count) for count in (0, 2, 1)]
     both = together(parts)
     assert both.anchors.tolist() == [[0, 0]] * 3 + [[1, 1]] * 3 + [[1, 0]] * 3
     assert both.gain.shape == (9, 3, 6) and both.anchor_q.shape == (9, 6)
 
 
 @pytest.mark.parametrize("doppler", [0.1, None])
-def test_two_laps_give_what_a_filter_that_never_sleeps_gives(
+def test_two_laps_give_what_a_filter_gives_that_keeps_all_active(
     doppler: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first SP comes into view again after 27 steps inactive."""
@@ -222,12 +222,12 @@ def test_two_laps_give_what_a_filter_that_never_sleeps_gives(
             least = min(least, len(state.track_id)) if snapshot.step > 30 else least
         return states, least
 
-    sleeping, fewest = run()
+    reduced, fewest = run()
     module = __import__("sys").modules[step_function.__module__]
     monkeypatch.setattr(module, "deactivate", lambda state, _: state)
-    active, fewest_awake = run()
-    assert fewest < fewest_awake
-    for one, other in zip(sleeping, active, strict=True):
+    active, fewest_active = run()
+    assert fewest < fewest_active
+    for one, other in zip(reduced, active, strict=True):
         sigma = np.sqrt(np.diag(other.ue_covariance))
         assert np.all(np.abs(one.ue_mean - other.ue_mean) < 0.1 * sigma)
         ratio = np.diag(one.ue_covariance) / np.diag(other.ue_covariance)

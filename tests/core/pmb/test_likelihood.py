@@ -17,12 +17,13 @@ from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_s
 from dopslam_ros.core.pmb import hypotheses as hypotheses_kernels
 from dopslam_ros.core.pmb import likelihood as kernels
 from dopslam_ros.core.pmb.birth import Births
-from dopslam_ros.core.pmb.birth_from_python import propose
 from dopslam_ros.core.pmb.coordinates import frames, placements, positions
 from dopslam_ros.core.pmb.hypotheses import LocalWeights
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
-from dopslam_ros.core.pmb.observed import gaussian_terms, prepare
+from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.settings.layout import DIM
+from dopslam_ros.lab.baselines.births import propose
+from dopslam_ros.lab.baselines.gaussian import gaussian_terms
 
 _local_likelihoods = from_python(kernels.local_likelihoods)
 _local_weights = from_python(hypotheses_kernels.local_weights)

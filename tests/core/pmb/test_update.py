@@ -25,7 +25,7 @@ from dopslam_ros.core.pmb.merge import Conditioned
 from dopslam_ros.core.pmb.update import Linearised, Updated
 from dopslam_ros.core.settings.layout import DIM, NONE
 
-existence_and_type = from_python(merge_kernels.existence_and_type)
+existence_and_types = from_python(merge_kernels.existence_and_types)
 merge = from_python(merge_kernels.merge)
 augment = from_python(newborn_kernels.augment)
 newborn = from_python(newborn_kernels.newborn)
@@ -321,7 +321,7 @@ def test_merge_weights_every_component_by_what_supports_it(seed: int, coupling: 
         assert cross.any() == (coupling == "joint" and together)
 
 
-def test_judge_follows_bayes() -> None:
+def test_existence_and_types_follow_bayes() -> None:
     rng = np.random.default_rng(3)
     state = state_of(rng, [[1, 2], [2]]).but(
         existence=np.array([0.6, 0.9]),
@@ -329,7 +329,7 @@ def test_judge_follows_bayes() -> None:
     )
     detection = np.array([0.9, 0.9, 0.5, 0.8])
     source = np.array([[2, NONE], [3, 0], [NONE, NONE]])
-    existence, types = existence_and_type(state.density, detection, np.full(2, NONE), source)
+    existence, types = existence_and_types(state.density, detection, np.full(2, NONE), source)
     q = 0.7 * 0.1 + 0.3 * 0.5
     missed = np.array([0.6 * q / (0.4 + 0.6 * q), 0.9 * 0.2 / (0.1 + 0.9 * 0.2)])
     np.testing.assert_allclose(existence, [[1.0, missed[1]], [missed[0], 1.0], missed], rtol=1e-12)
@@ -394,7 +394,7 @@ def gains_of(state: FilterState) -> list[FloatArray]:
     return list(regression[:, :4].reshape(-1, 3, 4))
 
 
-def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
+def test_a_birth_exists_only_where_its_path_is_free() -> None:
     rng = np.random.default_rng(12)
     state = state_of(rng, [[1]])
     births = births_of(rng, np.log([[1e-9, 1e-9], [1e-30, 1e-30]]))
@@ -403,7 +403,7 @@ def test_judge_lets_a_birth_live_only_where_its_path_is_free() -> None:
     association = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
     born = newborn(births.log_intensity, new, association, PARAMETERS.prune_existence)
     density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
-    existence, _ = existence_and_type(density, np.full(2, 0.9), birth_track, track)
+    existence, _ = existence_and_types(density, np.full(2, 0.9), birth_track, track)
     np.testing.assert_allclose(existence[:, 1:], [[0.25, 0.25], [0.0, 0.25]])
 
 

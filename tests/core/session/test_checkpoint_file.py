@@ -201,7 +201,9 @@ def test_what_is_no_density_is_refused(paper: Checkpoint) -> None:
         "right angles": spoil(paper, axes=best.axes * 1.01),
         "same id": spoil(paper, track_id=best.track_id * 0 + 1),
         "id is out of range": spoil(paper, next_id=1),
-        "a reach": with_best(paper, replace(best, inactive=InactiveGrid(best.inactive.cells, 0.0))),
+        "a reactivation distance": with_best(
+            paper, replace(best, inactive=InactiveGrid(best.inactive.cells, 0.0))
+        ),
         "no vehicle": replace(paper, kind=MAP),
         "where none can be": replace(paper, known=paper),
         "in order": replace(paper, controls=paper.controls * 2),

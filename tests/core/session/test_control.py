@@ -28,7 +28,7 @@ KNOWN = replace(PARAMETERS, mapping=False)
 
 @pytest.fixture(scope="module")
 def snapshots() -> list[Snapshot]:
-    """A run of the paper's scene, long enough for landmarks to fall inactive and wake up."""
+    """A run of the paper's scene, long enough for landmarks to be deactivated and reactivated."""
     return list(simulate(SCENARIO, np.random.default_rng(17)))
 
 

@@ -15,13 +15,9 @@ from dopslam_ros.core.models.motion import Control, ControlSpan
 from dopslam_ros.core.pmb import FilterParameters, initial_filter_state, step
 from dopslam_ros.core.settings.layout import DIM, DOPPLER, LandmarkType
 from dopslam_ros.core.settings.model import with_doppler_std
-from dopslam_ros.lab.baselines.phd import (
-    MOST_COMPONENTS,
-    PhdState,
-    initial_phd,
-    phd_landmarks,
-    phd_step,
-)
+from dopslam_ros.lab.baselines.phd import phd_landmarks, phd_step
+from dopslam_ros.lab.baselines.phd_map import MOST_COMPONENTS
+from dopslam_ros.lab.baselines.phd_state import PhdState, initial_phd
 from dopslam_ros.lab.study.plan import run_generator
 from dopslam_ros.offline.evaluation import StepRecord, judge_step, summarise
 from dopslam_ros.simulation.matched import filter_parameters_for

@@ -25,7 +25,7 @@ from dopslam_ros.lab.figures.numbers import mean_square_band
 from dopslam_ros.lab.figures.paper import FIGURES, draw_study, missing
 from dopslam_ros.lab.figures.ratios import Ratio, all_ratios, write_ratios
 from dopslam_ros.lab.figures.style import LOOKS, looks
-from dopslam_ros.lab.study.estimators import KINDS
+from dopslam_ros.lab.study.labels import KINDS
 from dopslam_ros.lab.study.plan import Plan
 from dopslam_ros.lab.study.results import Results
 from dopslam_ros.lab.study.run import FIELDS

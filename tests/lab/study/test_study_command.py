@@ -308,7 +308,7 @@ def test_when_all_fail(scene: Path, capsys: Capture, monkeypatch: pytest.MonkeyP
 def test_threads_of_blas_are_told(
     scene: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dopslam_ros.cli.study.blas_is_limited", lambda: False)
+    monkeypatch.setattr("dopslam_ros.lab.study.executors.blas_is_limited", lambda: False)
     command = ["--scenario", scene, "--filters", "dead_reckoning", "--runs", 1, "--workers", 1]
     assert run(*command) == 0
     assert "'threadpoolctl', or set OMP_NUM_THREADS=1" in capsys.readouterr().err
@@ -411,7 +411,7 @@ def test_a_cluster_gives_the_same_bytes(
         asked.append(address)
         return executors.run_local(plan, tasks[::-1], 1)
 
-    monkeypatch.setattr("dopslam_ros.cli.study.run_on_dask", instead)
+    monkeypatch.setattr("dopslam_ros.lab.study.executors.run_on_dask", instead)
     folder = tmp_path / "cluster"
     command = ["--scenario", scene, *STUDY, "--scheduler", "tcp://there:8786", "--out", folder]
     assert run(*command) == 0

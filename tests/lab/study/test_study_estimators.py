@@ -16,13 +16,9 @@ from dopslam_ros.core.pmb import Associations
 from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.core.settings.layout import NONE, LandmarkType
 from dopslam_ros.core.settings.parameters import ParameterError
-from dopslam_ros.lab.study.estimators import (
-    KINDS,
-    Estimate,
-    EstimatorError,
-    SourceTracker,
-    make_estimator,
-)
+from dopslam_ros.lab.study.estimators import Estimate, EstimatorError
+from dopslam_ros.lab.study.labels import KINDS, make_estimator
+from dopslam_ros.lab.study.source_tracker import SourceTracker
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.simulation.simulator import CLUTTER, Snapshot, simulate

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.settings.model import with_doppler_std
-from dopslam_ros.lab.study.estimators import make_estimator
+from dopslam_ros.lab.study.labels import make_estimator
 from dopslam_ros.lab.study.plan import Plan, Task, run_generator, software
 from dopslam_ros.lab.study.results import Results
 from dopslam_ros.lab.study.run import FIELDS, check_software, execute, run_task

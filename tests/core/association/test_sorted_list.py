@@ -1,15 +1,15 @@
-"""The lists that rankings are kept in."""
+"""The lists that the best assignments are kept in."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from dopslam_ros.core.association import murty as assignment_kernels
+from dopslam_ros.core.association import sorted_list
 from dopslam_ros.core.linalg.jit import from_python
 
-combine = from_python(assignment_kernels.combine)
-insert = from_python(assignment_kernels.insert)
+smallest_sums = from_python(sorted_list.smallest_sums)
+insert = from_python(sorted_list.insert)
 
 
 @pytest.mark.parametrize("size", [1, 3, 8, 30])
@@ -32,7 +32,7 @@ def test_the_smallest_sums_are_those_of_all_sums(k: int) -> None:
         one = np.sort(rng.integers(0, 6, rng.integers(1, 9)).astype(float))
         other = np.sort(rng.integers(0, 6, rng.integers(1, 9)).astype(float))
         every = (one[:, None] + other).ravel()
-        sums, tickets = combine(one, other, k)
+        sums, tickets = smallest_sums(one, other, k)
         np.testing.assert_array_equal(sums, np.sort(every)[:k])
         np.testing.assert_array_equal(every[tickets], sums)
         assert len(set(tickets.tolist())) == len(tickets)

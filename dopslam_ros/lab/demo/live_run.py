@@ -1,4 +1,4 @@
-"""The demo: the paper's scene through the real nodes, recorded, replayed, compared, drawn."""
+"""A scene through the real nodes, each a process of its own, recorded until it ends."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 
-from dopslam_ros.bag import BagReader, BagWriter
+from dopslam_ros.bag import BagReader
 from dopslam_ros.core.settings.parameters import to_mapping
 from dopslam_ros.messages import topics
-from dopslam_ros.offline.replay import replay
-from dopslam_ros.offline.replay_result import Replay
 from dopslam_ros.simulation.matched import bounds_parameters_for, filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.system.processes import ask_to_stop, isolated_environment, node_command, running
@@ -113,31 +111,6 @@ def _recorded(bag: Path) -> tuple[int, int]:
         return info.message_count if info else 0
 
     return count(topics.CHANNEL_MEASUREMENTS), min(count(topics.UE_STATE), count(topics.BOUNDS))
-
-
-def replay_and_compare(bag: Path, out: Path) -> tuple[Replay, str | None]:
-    """Replays a bag offline and holds the result against what was recorded live.
-
-    Returns:
-        The replay, and None if the streams of vehicle states are equal byte for byte, else what
-        differs.
-    """
-    reader = BagReader(bag)
-    with BagWriter(out, flush_seconds=None) as writer:
-        run = replay(reader, writer=writer)
-    return run, difference(reader, BagReader(out), "/" + topics.UE_STATE.name)
-
-
-def difference(live: BagReader, again: BagReader, topic: str) -> str | None:
-    """What differs between two recordings of a topic, or None if all their bytes are equal."""
-    first = [message.payload for message in live.messages({topic})]
-    second = [message.payload for message in again.messages({topic})]
-    if len(first) != len(second):
-        return f"{len(first)} messages on {topic} live, {len(second)} in the replay"
-    unequal = [n for n, (a, b) in enumerate(zip(first, second, strict=True)) if a != b]
-    if unequal:
-        return f"{len(unequal)} of {len(first)} messages on {topic} differ, first: {unequal[0]}"
-    return None
 
 
 def new_folder(parent: Path, scenario: Scenario) -> Path:

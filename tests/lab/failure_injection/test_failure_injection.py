@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dopslam_ros.cli.failure_injection import summarise_trials
 from dopslam_ros.cli.main import main
-from dopslam_ros.lab.study.failure_injection import trial
+from dopslam_ros.lab.failure_injection.kinds import FAILURES
+from dopslam_ros.lab.failure_injection.summary import summarise_trials
+from dopslam_ros.lab.failure_injection.trial import trial
 from dopslam_ros.simulation.scenario import load_scenario
 
 SCENARIO = load_scenario("paper")
 RUNS = 12
 
 
-@pytest.mark.parametrize("kind", ["blackout", "dark", "kidnap", "no_prior", "no_map", "none"])
+@pytest.mark.parametrize("kind", FAILURES)
 def test_it_is_found_within_ten_sets_and_the_covariance_is_honest(kind: str) -> None:
     trials = [trial(kind, SCENARIO, np.random.default_rng([5, n])) for n in range(RUNS)]
     found = summarise_trials(trials)
@@ -31,13 +32,21 @@ def test_it_is_found_within_ten_sets_and_the_covariance_is_honest(kind: str) -> 
         assert found["noticed"] == 0.0
 
 
-def test_the_same_seed_gives_the_same_numbers(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_numbers_by_either_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The old name of the command is an alias that says which is the new one."""
     texts = []
-    for name in ("one.json", "two.json"):
-        file = tmp_path / name
+    for name in ("inject", "trouble"):
+        file = tmp_path / f"{name}.json"
         arguments = ["--kinds", "kidnap", "--runs", "2", "--seed", "3", "--json", str(file)]
-        assert main(["trouble", *arguments]) == 0
+        assert main([name, *arguments]) == 0
         kept = json.loads(file.read_text("utf-8"))["kinds"]["kidnap"]
         del kept["lost_ms_max"]
         texts.append(json.dumps(kept))
+        said = capsys.readouterr().err
+        assert ("'trouble' is called 'inject' now" in said) == (name == "trouble")
     assert texts[0] == texts[1]
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "old name until the next release: trouble" in " ".join(capsys.readouterr().out.split())

@@ -15,5 +15,5 @@ _propose = from_python(birth.propose)
 def propose(
     state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
 ) -> Births:
-    """``kernels.birth.propose``, which says what it does, for the vehicle of a state."""
+    """``core.pmb.birth.propose``, which says what it does, for the vehicle of a state."""
     return _propose(state.density, observed, float(speed), parameters.constants)

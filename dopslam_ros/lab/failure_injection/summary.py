@@ -1,39 +1,17 @@
-"""``dopslam trouble``: how often and how well a vehicle that gets lost is found again."""
+"""What trials come to: how often and how soon a vehicle is found, and how well."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from dopslam_ros.cli.options import with_progress, write_json
-from dopslam_ros.lab.study.failure_injection import Trial, trial
-from dopslam_ros.lab.study.names import TROUBLES
-from dopslam_ros.simulation.scenario import load_scenario
-from dopslam_ros.system.stopping import Stop, until_stopped
+from dopslam_ros.lab.failure_injection.trial import Trial
 
 # A recovery counts when it took no more sets than this.
 IN_TIME = 10
-
-
-def run(options: Any) -> int:
-    """Runs the trials, until Ctrl-C comes, and prints a table; raises ScenarioError."""
-    scenario = load_scenario(options.scenario)
-    cases = list(itertools.product(options.kinds, range(options.runs)))
-    trials: dict[str, list[Trial]] = {kind: [] for kind in options.kinds}
-    with Stop(keep=True) as stop:
-        for kind, number in until_stopped(with_progress(cases, len(cases), "trouble")):
-            rng = np.random.default_rng([options.seed, list(TROUBLES).index(kind), number])
-            trials[kind].append(trial(kind, scenario, rng))
-        rows = {kind: summarise_trials(some) for kind, some in trials.items() if some}
-    content = {"scenario": scenario.name, "seed": options.seed, "kinds": rows}
-    write_json(options.json, {**content, "stopped": stop.asked})
-    for line in table(rows):
-        print(line)
-    return stop.code()
 
 
 def summarise_trials(trials: Sequence[Trial]) -> dict[str, Any]:
@@ -45,10 +23,10 @@ def summarise_trials(trials: Sequence[Trial]) -> dict[str, Any]:
     noticed = np.array([one.noticed for one in trials])
     in_time = (recovered > 0) & (recovered <= IN_TIME)
     error = np.concatenate([one.error for one in trials])
-    spread = np.concatenate([one.covariance for one in trials])
+    covariance = np.concatenate([one.covariance for one in trials])
     seconds = np.concatenate([one.seconds for one in trials])
     some = len(error) > 0
-    variance = spread[:, 0, 0] + spread[:, 1, 1]
+    variance = covariance[:, 0, 0] + covariance[:, 1, 1]
     return {
         "runs": len(trials),
         "recovered_in_time": float(np.mean(in_time)),
@@ -63,8 +41,8 @@ def summarise_trials(trials: Sequence[Trial]) -> dict[str, Any]:
     }
 
 
-def table(rows: dict[str, dict[str, Any]]) -> list[str]:
-    """The lines to print."""
+def trials_table(rows: dict[str, dict[str, Any]]) -> list[str]:
+    """The summaries by kind, as lines to print."""
     heads = ("in time", "noticed", "sets", "most", "RMSE [m]", "std [m]", "NEES")
     lines = [f"{'':12}" + "".join(f"{head:>10}" for head in heads)]
     for kind, row in rows.items():
