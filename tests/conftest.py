@@ -25,7 +25,7 @@ from dopslam_ros.simulation.scenario import load_scenario
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from dopslam_ros.nodes.runtime import DopslamNode
+    from dopslam_ros.nodes.node import DopslamNode
 
 STEPS = 8
 SEED = 5
@@ -93,11 +93,11 @@ class Listener:
     """
 
     def __init__(self, ros: Ros, wanted: Iterable[topics.Topic], name: str = "listener") -> None:
-        from dopslam_ros.nodes.runtime import middleware_class, reading_profile
+        from dopslam_ros.nodes.middleware import middleware_class, reading_profile
 
         self.node = ros.node(name)
         self.payloads: dict[str, list[bytes]] = {topic.name: [] for topic in wanted}
-        # The controls last: see DopslamNode.joined.
+        # The controls last: see nodes.joining.
         for topic in sorted(wanted, key=lambda t: t == topics.ODOMETRY_CONTROL):
             self.node.create_subscription(
                 middleware_class(topic.type_name),

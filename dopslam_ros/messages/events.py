@@ -13,7 +13,7 @@ from dopslam_ros.core.session.checkpoint import BEFORE_ALL, CheckpointError
 from dopslam_ros.core.session.checkpoint_file import decode, to_bytes
 from dopslam_ros.core.session.events import KINDS, RESUME, Event
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import InvalidMessage, Types, make_time, read_message
+from dopslam_ros.messages.common import InvalidMessage, Types, make_time, read_message
 
 
 def make_event(types: Types, event: Event) -> Any:

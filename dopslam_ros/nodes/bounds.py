@@ -12,16 +12,12 @@ from dopslam_ros.core.session.bounding import BoundsOutput, BoundsSession
 from dopslam_ros.core.settings.bounding import BoundsParameters
 from dopslam_ros.core.settings.parameters import parameter
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import (
-    Frames,
-    MapArrays,
-    make_bounds,
-    read_control,
-    read_map,
-    read_ue_state,
-    stamp_ns,
-)
-from dopslam_ros.nodes.runtime import DopslamNode, serve
+from dopslam_ros.messages.common import Frames, stamp_ns
+from dopslam_ros.messages.inputs import read_control
+from dopslam_ros.messages.states import MapArrays, make_bounds, read_map, read_ue_state
+from dopslam_ros.nodes.joining import start_when_joined
+from dopslam_ros.nodes.node import DopslamNode
+from dopslam_ros.nodes.running import serve
 from dopslam_ros.simulation.warmup import warm_up_bounds
 
 # States and maps that wait for their counterpart; beyond this the oldest are given up.
@@ -53,7 +49,7 @@ class BoundsNode(DopslamNode):
         self._states: dict[int, FloatArray] = {}
         self._published = 0
         self._bounds = self.output(topics.BOUNDS)
-        self.start_when_joined(p.wait_for_nodes, [self._bounds.publisher], self._start)
+        start_when_joined(self, p.wait_for_nodes, [self._bounds.publisher], self._start)
 
     def _start(self) -> None:
         if self._source != "estimate":
@@ -62,7 +58,8 @@ class BoundsNode(DopslamNode):
         if self._source != "truth":
             self.subscribe(topics.LANDMARKS, self._on_map)
             self.subscribe(topics.UE_STATE, lambda m: self._on_state("estimate", m))
-        self.subscribe_last(topics.ODOMETRY_CONTROL, self._on_control)
+        # The controls last: see nodes.joining.
+        self.subscribe(topics.ODOMETRY_CONTROL, self._on_control)
         self.get_logger().info("ready")
 
     def _on_control(self, message: Any) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,45 +10,20 @@ import numpy as np
 from dopslam_ros.bag import message_class
 from dopslam_ros.core.models.refusal import Refused
 from dopslam_ros.core.monitoring.health import Level
-from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
-from dopslam_ros.core.settings.parameters import commented_yaml, parameter
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.session.output import FilterOutput
+from dopslam_ros.core.settings.parameters import commented_yaml
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import (
-    Frames,
-    make_text,
-    read_control,
-    read_measurements,
-    stamp_ns,
-)
-from dopslam_ros.messages.filter_output import DrawingParameters, FilterMessages
-from dopslam_ros.nodes.filter_control import Steering
+from dopslam_ros.messages.common import Frames, make_text, stamp_ns
+from dopslam_ros.messages.filter_output import FilterMessages
+from dopslam_ros.messages.inputs import read_control, read_measurements
+from dopslam_ros.nodes.filter_control import FilterControl
+from dopslam_ros.nodes.filter_parameters import FilterNodeParameters
 from dopslam_ros.nodes.inbox import Inbox
-from dopslam_ros.nodes.runtime import DopslamNode, serve
+from dopslam_ros.nodes.joining import start_when_joined
+from dopslam_ros.nodes.node import DopslamNode
+from dopslam_ros.nodes.running import serve
 from dopslam_ros.simulation.warmup import warm_up_filter
-from dopslam_ros.system.storage import StorageParameters
-
-
-@dataclass(frozen=True)
-class FilterNodeParameters(StorageParameters, DrawingParameters, FilterParameters):
-    """The filter's settings and the node's own."""
-
-    map_frame: str = parameter("map", "Frame of everything that is estimated.")
-    base_frame: str = parameter("base_link", "Frame of the vehicle.")
-    publish_tf: bool = parameter(
-        False, "Whether the pose is published on /tf, too, as the transform from map to base frame."
-    )
-    most_waiting: int = parameter(
-        100,
-        "Sets, and controls, that may wait when they come faster than they can be processed. When"
-        " more do, the oldest are dropped, counted as overload_dropped, and predicted through; a"
-        " replay, which has time, uses them.",
-        low=1,
-        high=100_000,
-    )
-    wait_for_nodes: str = parameter(
-        "", "Names of nodes, separated by commas, that must get the results before any is made."
-    )
 
 
 class FilterNode(DopslamNode):
@@ -69,7 +43,7 @@ class FilterNode(DopslamNode):
         self._outputs[topics.FILTER_PARAMETERS.name].publish(
             make_text(message_class, commented_yaml(p))
         )
-        self._steering = Steering(self, self._session, p)
+        self._control = FilterControl(self, self._session, p)
         self._step_seconds: list[float] = []
         self._level = Level.OK
         self._sets = 0
@@ -77,11 +51,12 @@ class FilterNode(DopslamNode):
         self._most_waiting = p.most_waiting
         self._inbox = Inbox(self, p.most_waiting, self._on_overload, self.miss)
         publishers = [output.publisher for output in self._outputs.values()]
-        self.start_when_joined(p.wait_for_nodes, publishers, self._start)
+        start_when_joined(self, p.wait_for_nodes, publishers, self._start)
 
     def _start(self) -> None:
         self.subscribe(topics.CHANNEL_MEASUREMENTS, self._on_measurements, self._inbox)
-        self.subscribe_last(topics.ODOMETRY_CONTROL, self._on_control, self._inbox)
+        # The controls last: see nodes.joining.
+        self.subscribe(topics.ODOMETRY_CONTROL, self._on_control, self._inbox)
         self.create_timer(self._session.parameters.control_wait, self._on_silence)
         self.get_logger().info("ready")
 
@@ -115,7 +90,7 @@ class FilterNode(DopslamNode):
             self._step_seconds = [*self._step_seconds[-99:], output.step_seconds]
             for topic, message in self._messages.of(output):
                 self._outputs[topic.name].publish(message)
-            self._steering.keep()
+            self._control.offer_snapshot()
 
     def health(self) -> tuple[int, str, list[tuple[str, Any]]]:
         self.problems.update(self._session.problems)
@@ -141,14 +116,14 @@ class FilterNode(DopslamNode):
                 ("step_ms_max", f"{steps.max():.3f}"),
                 ("smallest_eigenvalue", f"{smallest:.3e}"),
                 *health.figures,
-                *self._steering.health(),
+                *self._control.health(),
             ],
         )
 
     def close(self) -> None:
         self._inbox.empty()
         self._publish(self._session.end())
-        self._steering.close()
+        self._control.close()
 
 
 def main() -> None:

@@ -17,11 +17,14 @@ from dopslam_ros.core.session.events import Event
 from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.messages import topics
 from dopslam_ros.messages.events import make_event
-from dopslam_ros.nodes.runtime import DopslamNode, StartError
-from dopslam_ros.system.storage import SnapshotWriter, StorageParameters, Store
+from dopslam_ros.nodes.errors import StartError
+from dopslam_ros.nodes.filter_parameters import StorageParameters
+from dopslam_ros.nodes.node import DopslamNode
+from dopslam_ros.system.snapshot_writer import SnapshotWriter
+from dopslam_ros.system.storage import Store
 
 
-class Steering:
+class FilterControl:
     """Starts a session from what was saved and lets services change it.
 
     Every change is told on ``filter_events``, so that a replay of the recorded run makes it too.
@@ -52,7 +55,7 @@ class Steering:
         node.create_service(SaveMap, "~/save_map", self._on_save)
         node.create_service(LoadMap, "~/load_map", self._on_load)
 
-    def keep(self) -> None:
+    def offer_snapshot(self) -> None:
         """To be called after every set: offers the state to be written."""
         if self._writer is not None:
             self._writer.offer(self._session.snapshot())
@@ -167,4 +170,4 @@ class Steering:
     def _tell(self, event: Event) -> None:
         self._changes += 1
         self._events.publish(make_event(message_class, event))
-        self.keep()
+        self.offer_snapshot()

@@ -14,7 +14,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from dopslam_ros.messages import topics
-from dopslam_ros.nodes.runtime import middleware_class, reading_profile, stay_on_this_machine
+from dopslam_ros.nodes.middleware import middleware_class, reading_profile
+from dopslam_ros.nodes.running import stay_on_this_machine
 
 
 @contextmanager

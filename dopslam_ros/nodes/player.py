@@ -13,15 +13,12 @@ from rclpy.qos import QoSProfile
 from dopslam_ros.bag import BagError, BagMessage, BagReader, Durability, TopicInfo
 from dopslam_ros.core.settings.parameters import parameter
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import make_time
-from dopslam_ros.nodes.runtime import (
-    STEADY,
-    DopslamNode,
-    StartError,
-    middleware_class,
-    qos_profile,
-    serve,
-)
+from dopslam_ros.messages.common import make_time
+from dopslam_ros.nodes.errors import StartError
+from dopslam_ros.nodes.joining import STEADY, start_when_joined
+from dopslam_ros.nodes.middleware import middleware_class, qos_profile
+from dopslam_ros.nodes.node import DopslamNode
+from dopslam_ros.nodes.running import serve
 
 TICK = 0.005
 # Messages in a tick at most: readers with queues of finite depth must keep up.
@@ -83,7 +80,7 @@ class PlayerNode(DopslamNode):
         self.get_logger().info(
             f"ready: {len(self._players)} topics of {p.bag}: {', '.join(sorted(self._players))}"
         )
-        self.start_when_joined(p.wait_for_nodes, self._players.values(), self._start)
+        start_when_joined(self, p.wait_for_nodes, self._players.values(), self._start)
 
     def _add(self, name: str, info: TopicInfo) -> None:
         try:

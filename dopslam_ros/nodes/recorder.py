@@ -16,19 +16,12 @@ from dopslam_ros.bag.qos import from_profile
 from dopslam_ros.core.models.refusal import Refused
 from dopslam_ros.core.settings.parameters import parameter
 from dopslam_ros.messages import topics
+from dopslam_ros.nodes.errors import StartError
 from dopslam_ros.nodes.inbox import Inbox
-from dopslam_ros.nodes.runtime import (
-    LOST,
-    STEADY,
-    DopslamNode,
-    RCLError,
-    StartError,
-    middleware_class,
-    names,
-    qos_profile,
-    reading_profile,
-    serve,
-)
+from dopslam_ros.nodes.joining import STEADY, names
+from dopslam_ros.nodes.middleware import middleware_class, qos_profile, reading_profile
+from dopslam_ros.nodes.node import LOST, DopslamNode
+from dopslam_ros.nodes.running import RCLError, serve
 
 FLUSH_PERIOD = 0.5
 DISCOVERY_PERIOD = 0.5
@@ -63,7 +56,7 @@ class RecorderNode(DopslamNode):
         self._subscribed: set[str] = set()
         self._known: set[str] = set()
         self._inbox = Inbox(self, MOST_WAITING, self._on_overload, self.miss)
-        # The controls last: see DopslamNode.joined.
+        # The controls last: see nodes.joining.
         recorded = (topics.FILTER_EVENTS, *topics.RECORDED)
         for topic in sorted(recorded, key=lambda t: t == topics.ODOMETRY_CONTROL):
             name = self.resolve_topic_name(topic.name)

@@ -12,8 +12,11 @@ from rclpy.timer import Timer
 
 from dopslam_ros.core.settings.parameters import parameter
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import Frames
-from dopslam_ros.nodes.runtime import DopslamNode, StartError, serve
+from dopslam_ros.messages.common import Frames
+from dopslam_ros.nodes.errors import StartError
+from dopslam_ros.nodes.joining import start_when_joined
+from dopslam_ros.nodes.node import DopslamNode
+from dopslam_ros.nodes.running import serve
 from dopslam_ros.simulation.recording import Message, map_message, snapshot_messages
 from dopslam_ros.simulation.scenario import START_NS, ScenarioError, load_scenario
 from dopslam_ros.simulation.simulator import simulate
@@ -66,7 +69,7 @@ class SimulatorNode(DopslamNode):
             f"ready: scene '{self._scenario.name}', {self._scenario.steps} snapshots, seed {seed}"
         )
         publishers = [output.publisher for output in self._outputs.values()]
-        self.start_when_joined(p.wait_for_nodes, publishers, self._start)
+        start_when_joined(self, p.wait_for_nodes, publishers, self._start)
 
     def parameters_changed(self, parameters: Any) -> None:
         self._rate = parameters.rate

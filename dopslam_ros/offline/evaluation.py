@@ -21,7 +21,7 @@ class StepRecord:
     """One step judged; what cannot be judged is NaN.
 
     Attributes:
-        error: (4,) estimate minus truth.
+        error: (U,) estimate minus truth.
         nees: of the vehicle.
         va: GOSPA of the VAs, with its parts.
         sp: of the SPs.
@@ -63,16 +63,16 @@ def judge_step(
     """Compares an estimate with the truth as far as it is known.
 
     Args:
-        mean: (4,) estimate of the vehicle.
-        covariance: (4, 4).
+        mean: (U,) estimate of the vehicle.
+        covariance: (U, U).
         landmarks: the map reported.
-        true_state: (4,) or None.
+        true_state: (U,) or None.
         true_vas: (n, 3) or None.
         true_sps: (n, 3) or None.
         bound: at this step, or None.
         seconds: time the step took.
     """
-    error, normalised = np.full(4, np.nan), math.nan
+    error, normalised = np.full(len(mean), np.nan), math.nan
     if true_state is not None:
         error = state_errors(mean, true_state)
         normalised = nees(error, covariance)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from dopslam_ros.core.linalg.arrays import FloatArray, wrap_angle
+from dopslam_ros.core.settings.layout import ANGLES, CLOCK_BIAS, HEADING, X, Y
 
 
 class Gospa(NamedTuple):
@@ -51,9 +52,10 @@ def gospa(truth: FloatArray, estimate: FloatArray, c: float = 20.0, p: float = 2
 
 
 def state_errors(estimate: FloatArray, truth: FloatArray) -> FloatArray:
-    """(..., 4) estimate minus truth, the heading wrapped."""
+    """(..., U) estimate of the vehicle minus truth, angles wrapped."""
     error = np.asarray(estimate - truth, dtype=np.float64).copy()
-    error[..., 2] = wrap_angle(error[..., 2])
+    angles = np.flatnonzero(ANGLES)
+    error[..., angles] = wrap_angle(error[..., angles])
     return error
 
 
@@ -71,10 +73,10 @@ class Rmse(NamedTuple):
 
 
 def rmse(errors: FloatArray) -> Rmse:
-    """Of errors (..., 4): position [m] (both axes together), heading [deg], clock bias [m]."""
-    square = np.mean(np.reshape(errors, (-1, 4)) ** 2, axis=0)
+    """Of errors (..., U): position [m] (both axes together), heading [deg], clock bias [m]."""
+    square = np.mean(np.reshape(errors, (-1, errors.shape[-1])) ** 2, axis=0)
     return Rmse(
-        position=math.sqrt(square[0] + square[1]),
-        heading_deg=math.degrees(math.sqrt(square[2])),
-        clock_bias=math.sqrt(square[3]),
+        position=math.sqrt(square[X] + square[Y]),
+        heading_deg=math.degrees(math.sqrt(square[HEADING])),
+        clock_bias=math.sqrt(square[CLOCK_BIAS]),
     )

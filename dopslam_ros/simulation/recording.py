@@ -10,15 +10,9 @@ import numpy as np
 from dopslam_ros.bag import BagWriter, message_class, serialize
 from dopslam_ros.core.settings.parameters import commented_yaml
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import (
-    Frames,
-    make_control,
-    make_map,
-    make_measurements,
-    make_text,
-    make_ue_state,
-    true_landmarks,
-)
+from dopslam_ros.messages.common import Frames, make_text
+from dopslam_ros.messages.inputs import make_control, make_measurements
+from dopslam_ros.messages.states import make_map, make_ue_state, true_landmarks
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario
 from dopslam_ros.simulation.simulator import Snapshot, simulate
@@ -35,7 +29,7 @@ def map_message(scenario: Scenario, time_ns: int, frames: Frames) -> Message:
 
 def snapshot_messages(snapshot: Snapshot, time_ns: int, frames: Frames) -> list[Message]:
     """Everything that is published at a snapshot, the control first: the filter waits for it."""
-    no_error = np.zeros((4, 4))
+    no_error = np.zeros((len(snapshot.state), len(snapshot.state)))
     return [
         (
             topics.ODOMETRY_CONTROL,

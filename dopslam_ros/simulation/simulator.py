@@ -12,7 +12,7 @@ from dopslam_ros.core.models.channel import observe
 from dopslam_ros.core.models.detection import detection_probabilities
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control, propagate
-from dopslam_ros.core.settings.layout import AZIMUTHS, DIM, LandmarkType
+from dopslam_ros.core.settings.layout import AZIMUTHS, DIM, HEADING, LandmarkType, X, Y
 from dopslam_ros.core.settings.model import clutter_box
 from dopslam_ros.simulation.scenario import Scenario
 
@@ -27,7 +27,7 @@ class Snapshot:
         step: 0, 1, ...
         stamp_ns: its time.
         control: valid from here to the next snapshot.
-        state: (4,) the true state.
+        state: (U,) the true state.
         measurements: what the channel estimator delivers.
         sources: (J,) where each path came from: 0 the BS, i the i-th landmark (from 1), or CLUTTER.
     """
@@ -41,7 +41,7 @@ class Snapshot:
 
 
 def nominal_trajectory(scenario: Scenario) -> FloatArray:
-    """(K, 4) the states without process noise, from the mean of the prior on."""
+    """(K, U) the states without process noise, from the mean of the prior on."""
     states = [np.array(scenario.initial_state)]
     for control in scenario.controls[:-1]:
         states.append(propagate(states[-1], control, scenario.period))
@@ -60,13 +60,13 @@ def visible(scenario: Scenario, state: FloatArray, step: int) -> BoolArray:
 
     Args:
         scenario: the scene.
-        state: (4,) of the vehicle.
+        state: (U,) of the vehicle.
         step: number of the snapshot, 0, 1, ...: some may be blocked then.
     """
     positions, types = all_landmarks(scenario)
     speed = scenario.controls[step].speed
     paths = observe(state, speed, positions, types, scenario.bs, scenario.ue_height)
-    ue = np.array([state[0], state[1], scenario.ue_height])
+    ue = np.array([state[X], state[Y], scenario.ue_height])
     inside = detection_probabilities(scenario, ue, positions, types) > 0.0
     return inside & paths.facing & ~paths.degenerate & ~scenario.blocked_at(step)
 
@@ -83,7 +83,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Iterator[Snapshot]
     """
     noises, paths, clutter = rng.spawn(3)
     state = noises.normal(scenario.initial_state, scenario.initial_std)
-    state[2] = wrap_angle(state[2])
+    state[HEADING] = wrap_angle(state[HEADING])
     noise_std = np.sqrt(scenario.noise_rate * scenario.period)
     for step, control in enumerate(scenario.controls):
         measurements, sources = _draw_set(
@@ -91,7 +91,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Iterator[Snapshot]
         )
         yield Snapshot(step, scenario.stamp_ns(step), control, state.copy(), measurements, sources)
         state = propagate(state, control, scenario.period) + noises.normal(0.0, noise_std)
-        state[2] = wrap_angle(state[2])
+        state[HEADING] = wrap_angle(state[HEADING])
 
 
 def _draw_set(

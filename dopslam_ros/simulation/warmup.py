@@ -33,7 +33,7 @@ from dopslam_ros.core.pmb.step_kernels import DataAssociation, condition_on, pos
 from dopslam_ros.core.session.bounding import BoundsSession, WorldState
 from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.core.settings.bounding import BoundsParameters
-from dopslam_ros.core.settings.layout import DIM, UE, LandmarkType
+from dopslam_ros.core.settings.layout import DIM, LARGEST_LANDMARK, VEHICLE, LandmarkType, X, Y
 from dopslam_ros.core.settings.model import ModelParameters
 from dopslam_ros.core.settings.parameters import shared_values
 from dopslam_ros.simulation.scenario import Scenario
@@ -113,13 +113,18 @@ def _nothing_heard() -> DataAssociation:
     none, nobody = np.zeros((1, 0)), np.zeros((1, 0), np.int64)
     return DataAssociation(
         Likelihoods(
-            np.zeros((1, DIM, UE)),
-            np.zeros((1, DIM, 3)),
+            np.zeros((1, DIM, len(VEHICLE))),
+            np.zeros((1, DIM, LARGEST_LANDMARK)),
             np.zeros(1),
             np.zeros((1, 0, DIM)),
             none,
         ),
-        Births(np.zeros((2, 0, 3)), np.zeros((2, 0, 3, 3)), np.zeros((2, 0, 3, 4)), none),
+        Births(
+            np.zeros((2, 0, 3)),
+            np.zeros((2, 0, 3, 3)),
+            np.zeros((2, 0, LARGEST_LANDMARK, len(VEHICLE))),
+            none,
+        ),
         LocalWeights(none, none, np.zeros(1), np.zeros(0)),
         Hypotheses(nobody, nobody, np.ones(1), 0.0),
         Newborn(np.zeros(0), np.zeros(0, np.bool_)),
@@ -129,7 +134,7 @@ def _nothing_heard() -> DataAssociation:
 
 def _scene(parameters: ModelParameters) -> Scenario:
     """A wall and a scattering point near the start, whatever the models are."""
-    ue = np.append(parameters.initial_state[:2], parameters.ue_height)
+    ue = np.array([*np.take(parameters.initial_state, [X, Y]), parameters.ue_height])
     near = np.array([0.5 * min(parameters.sp_field_of_view, 50.0), 0.0, 5.0])
     wall = np.array([90.0, 70.0, 80.0])
     return replace(

@@ -227,7 +227,7 @@ def test_ctrl_c_ends_a_loop_after_its_item() -> None:
     assert list(until_stopped(range(3))) == [0, 1, 2] and Stop().code() == 0
 
 
-REPLAYED = "offline.replay._Run.feed"
+REPLAYED = "offline.replay_run.ReplayRun.feed"
 # Where each command is when Ctrl-C comes: calling what is compiled.
 COMPILED = {
     "simulate --scenario {scene} --out {new}": "simulation.recording.snapshot_messages",
@@ -304,16 +304,16 @@ def test_ctrl_c_keeps_what_was_done(
     tmp_path: Path, simulated: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     """A replay that is stopped writes a whole bag and a result of the steps until then."""
-    from dopslam_ros.offline import replay
+    from dopslam_ros.offline import replay_run
 
-    filtered = replay.FilterSession.add_measurements
+    filtered = replay_run.FilterSession.add_measurements
 
     def interrupted(self: object, stamp: int, measurements: object) -> object:
         if stamp == 2_500_000_000:  # the fourth set
             signal.raise_signal(signal.SIGINT)
         return filtered(self, stamp, measurements)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(replay.FilterSession, "add_measurements", interrupted)
+    monkeypatch.setattr(replay_run.FilterSession, "add_measurements", interrupted)
     bag, file = tmp_path / "bag", tmp_path / "result.json"
     assert main(["replay", str(simulated), "--out", str(bag), "--json", str(file)]) == 130
     assert "kept" in capsys.readouterr().err

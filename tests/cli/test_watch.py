@@ -21,7 +21,7 @@ from dopslam_ros.cli.terminal.board import Board
 from dopslam_ros.cli.terminal.feed import recorded
 from dopslam_ros.cli.terminal.frame import frame
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import make_diagnostics
+from dopslam_ros.messages.diagnostics import make_diagnostics
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Processes

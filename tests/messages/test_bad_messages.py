@@ -16,17 +16,16 @@ import pytest
 from dopslam_ros.bag import deserialize, message_class, record_type, serialize
 from dopslam_ros.core.models.measurements import MOST_PATHS, MeasurementSet
 from dopslam_ros.core.models.refusal import Refused
-from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
+from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.core.session.ordering import UNCONFIRMED
+from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import (
-    Frames,
+from dopslam_ros.messages.common import Frames, read_message, stamp_ns
+from dopslam_ros.messages.inputs import (
     make_control,
     make_measurements,
     read_control,
     read_measurements,
-    read_message,
-    stamp_ns,
 )
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario

@@ -14,24 +14,19 @@ from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control
 from dopslam_ros.core.models.refusal import Refused
 from dopslam_ros.core.pmb import Associations, FilterParameters, LandmarkEstimates, initial_mixture
-from dopslam_ros.core.session.filtering import FilterOutput
+from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.core.settings.layout import DIM, LandmarkType
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import (
-    Frames,
+from dopslam_ros.messages.common import Frames, make_header, read_message, stamp_ns
+from dopslam_ros.messages.filter_output import DrawingParameters, FilterMessages
+from dopslam_ros.messages.inputs import (
     make_control,
-    make_header,
-    make_map,
     make_measurements,
-    make_ue_state,
     read_control,
-    read_map,
     read_measurements,
-    read_message,
-    read_ue_state,
-    stamp_ns,
 )
-from dopslam_ros.messages.filter_output import DrawingParameters, FilterMessages, quaternions
+from dopslam_ros.messages.markers import quaternions
+from dopslam_ros.messages.states import make_map, make_ue_state, read_map, read_ue_state
 
 BS = np.array([0.0, 0.0, 40.0])
 VA, SP = int(LandmarkType.VA), int(LandmarkType.SP)
@@ -313,7 +308,7 @@ def test_both_kinds_of_classes_give_the_same_bytes() -> None:
     """The middleware reads and writes what the ROS-free library writes and reads."""
     from rclpy.serialization import deserialize_message, serialize_message
 
-    from dopslam_ros.nodes.runtime import middleware_class
+    from dopslam_ros.nodes.middleware import middleware_class
 
     for topic, message in make().of(output(landmarks((3, VA), (7, SP)))):
         ours = serialize(message, topic.type_name)

@@ -16,7 +16,7 @@ from dopslam_ros.core.session.checkpoint_file import to_bytes
 from dopslam_ros.core.session.events import Event
 from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import InvalidMessage
+from dopslam_ros.messages.common import InvalidMessage
 from dopslam_ros.messages.events import make_event, read_event, recorded_events
 from dopslam_ros.offline.replay import replay
 

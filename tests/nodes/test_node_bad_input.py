@@ -15,10 +15,12 @@ from dopslam_ros.bag import BagReader, BagWriter, deserialize, message_class, se
 from dopslam_ros.core.models.measurements import MOST_PATHS
 from dopslam_ros.core.models.motion import Control
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import Frames, make_control
+from dopslam_ros.messages.common import Frames
+from dopslam_ros.messages.inputs import make_control
 from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode
-from dopslam_ros.nodes.runtime import DopslamNode, Output, middleware_class, qos_profile
+from dopslam_ros.nodes.middleware import Output, middleware_class, qos_profile
+from dopslam_ros.nodes.node import DopslamNode
 from dopslam_ros.offline.replay import replay
 
 if TYPE_CHECKING:

@@ -11,10 +11,12 @@ import pytest
 from dopslam_ros.bag import message_class, serialize
 from dopslam_ros.core.models.motion import Control
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import Frames, make_control, make_measurements
+from dopslam_ros.messages.common import Frames
+from dopslam_ros.messages.inputs import make_control, make_measurements
 from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode
-from dopslam_ros.nodes.runtime import READING_DEPTH, DopslamNode, middleware_class, qos_profile
+from dopslam_ros.nodes.middleware import READING_DEPTH, middleware_class, qos_profile
+from dopslam_ros.nodes.node import DopslamNode
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import simulate
 

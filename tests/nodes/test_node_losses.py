@@ -10,7 +10,7 @@ import pytest
 from dopslam_ros.messages import topics
 from dopslam_ros.nodes import losses
 from dopslam_ros.nodes.losses import Losses
-from dopslam_ros.nodes.runtime import middleware_class
+from dopslam_ros.nodes.middleware import middleware_class
 
 if TYPE_CHECKING:
     from tests.conftest import Ros

@@ -9,9 +9,10 @@ import numpy as np
 
 from dopslam_ros.bag import message_class, serialize
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import Frames, make_control, make_measurements
+from dopslam_ros.messages.common import Frames
+from dopslam_ros.messages.inputs import make_control, make_measurements
 from dopslam_ros.nodes.filter import FilterNode
-from dopslam_ros.nodes.runtime import middleware_class, qos_profile
+from dopslam_ros.nodes.middleware import middleware_class, qos_profile
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import Snapshot, simulate
 

@@ -12,10 +12,11 @@ import yaml
 
 from dopslam_ros.core.settings.parameters import declarations, to_mapping
 from dopslam_ros.nodes.bounds import BoundsNode, BoundsNodeParameters
-from dopslam_ros.nodes.filter import FilterNode, FilterNodeParameters
+from dopslam_ros.nodes.errors import StartError
+from dopslam_ros.nodes.filter import FilterNode
+from dopslam_ros.nodes.filter_parameters import FilterNodeParameters
 from dopslam_ros.nodes.player import PlayerNode, PlayerParameters
 from dopslam_ros.nodes.recorder import RecorderNode, RecorderParameters
-from dopslam_ros.nodes.runtime import StartError
 from dopslam_ros.nodes.simulator import SimulatorNode, SimulatorParameters
 
 if TYPE_CHECKING:

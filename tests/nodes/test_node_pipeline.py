@@ -15,11 +15,12 @@ from dopslam_ros.core.session.bounding import BoundsSession
 from dopslam_ros.core.settings.bounding import BoundsParameters
 from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import Frames, make_bounds, read_map, read_ue_state, stamp_ns
+from dopslam_ros.messages.common import Frames, stamp_ns
+from dopslam_ros.messages.states import make_bounds, read_map, read_ue_state
 from dopslam_ros.nodes.bounds import BoundsNode
 from dopslam_ros.nodes.filter import FilterNode
+from dopslam_ros.nodes.middleware import Output, middleware_class, qos_profile
 from dopslam_ros.nodes.recorder import RecorderNode
-from dopslam_ros.nodes.runtime import Output, middleware_class, qos_profile
 from dopslam_ros.nodes.simulator import SimulatorNode
 from dopslam_ros.simulation.scenario import load_scenario
 

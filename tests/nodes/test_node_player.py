@@ -10,9 +10,10 @@ import pytest
 
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.messages import topics
+from dopslam_ros.nodes.errors import StartError
 from dopslam_ros.nodes.filter import FilterNode
+from dopslam_ros.nodes.middleware import middleware_class
 from dopslam_ros.nodes.player import PlayerNode
-from dopslam_ros.nodes.runtime import StartError, middleware_class
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Processes, Ros

@@ -29,10 +29,12 @@ from dopslam_ros.bag import (
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import Frames, make_control, make_measurements
+from dopslam_ros.messages.common import Frames
+from dopslam_ros.messages.inputs import make_control, make_measurements
+from dopslam_ros.nodes.errors import StartError
 from dopslam_ros.nodes.filter import FilterNode
+from dopslam_ros.nodes.middleware import middleware_class, qos_profile
 from dopslam_ros.nodes.recorder import RecorderNode
-from dopslam_ros.nodes.runtime import StartError, middleware_class, qos_profile
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Processes, Ros

@@ -15,9 +15,10 @@ from std_srvs.srv import SetBool, Trigger
 from dopslam_ros.bag import BagReader, BagWriter, deserialize
 from dopslam_ros.core.session.checkpoint import SNAPSHOT
 from dopslam_ros.messages import topics
+from dopslam_ros.nodes.errors import StartError
 from dopslam_ros.nodes.filter import FilterNode
+from dopslam_ros.nodes.middleware import Output, middleware_class, qos_profile
 from dopslam_ros.nodes.recorder import RecorderNode
-from dopslam_ros.nodes.runtime import Output, StartError, middleware_class, qos_profile
 from dopslam_ros.offline.replay import replay
 from dopslam_ros.system.storage import read_checkpoint
 

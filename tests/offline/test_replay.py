@@ -15,8 +15,9 @@ from dopslam_ros.core.settings.parameters import ParameterError
 from dopslam_ros.messages import topics
 from dopslam_ros.nodes.filter import FilterNode
 from dopslam_ros.nodes.player import PlayerNode
-from dopslam_ros.offline.replay import Replay, replay
+from dopslam_ros.offline.replay import replay
 from dopslam_ros.offline.replay_inputs import ReplayError
+from dopslam_ros.offline.replay_result import Replay
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun, Ros

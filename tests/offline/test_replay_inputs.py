@@ -19,9 +19,10 @@ from dopslam_ros.bag import (
     type_hash,
 )
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import make_text
-from dopslam_ros.offline.replay import Replay, replay
+from dopslam_ros.messages.common import make_text
+from dopslam_ros.offline.replay import replay
 from dopslam_ros.offline.replay_inputs import ReplayError
+from dopslam_ros.offline.replay_result import Replay
 from dopslam_ros.simulation.recording import write_simulation
 from dopslam_ros.simulation.scenario import load_scenario
 

@@ -11,7 +11,9 @@ import yaml
 
 from dopslam_ros.bag import BagReader, BagWriter, deserialize
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import read_control, read_measurements, read_ue_state, stamp_ns
+from dopslam_ros.messages.common import stamp_ns
+from dopslam_ros.messages.inputs import read_control, read_measurements
+from dopslam_ros.messages.states import read_ue_state
 from dopslam_ros.offline.replay import replay
 from dopslam_ros.simulation.recording import write_simulation
 from dopslam_ros.simulation.scenario import load_scenario

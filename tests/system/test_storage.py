@@ -14,7 +14,8 @@ from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_file import to_bytes
 from dopslam_ros.core.session.filtering import FilterSession
-from dopslam_ros.system.storage import SnapshotWriter, Store, read_checkpoint, write_checkpoint
+from dopslam_ros.system.snapshot_writer import SnapshotWriter
+from dopslam_ros.system.storage import Store, read_checkpoint, write_checkpoint
 
 SESSION = FilterSession(FilterParameters())
 

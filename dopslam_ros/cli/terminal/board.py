@@ -10,7 +10,8 @@ from dopslam_ros.core.linalg.arrays import wrap_angle
 from dopslam_ros.core.models.refusal import Refused
 from dopslam_ros.core.settings.layout import HEADING, LandmarkType
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import read_map, read_message, read_ue_state
+from dopslam_ros.messages.common import read_message
+from dopslam_ros.messages.states import read_map, read_ue_state
 
 WATCHED = (
     topics.CHANNEL_MEASUREMENTS,

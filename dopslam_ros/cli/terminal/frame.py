@@ -12,7 +12,7 @@ from rich.text import Text
 from dopslam_ros.cli.terminal.board import COUNTED, Board, level_of
 from dopslam_ros.core.settings.layout import LandmarkType
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import read_map, read_ue_state
+from dopslam_ros.messages.states import read_map, read_ue_state
 
 MOST_LANDMARKS = 16
 COLOURS = {"OK": "green", "WARN": "yellow", "STALE": "magenta"}

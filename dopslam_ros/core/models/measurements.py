@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
+from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.models.channel_kernels import wrap_azimuths
 from dopslam_ros.core.models.refusal import Refused
-from dopslam_ros.core.settings.layout import COMPONENTS, DIM
+from dopslam_ros.core.settings.layout import BS_ID, COMPONENTS, DIM
 
 # Magnitudes beyond which a number cannot be a measurement of its kind [m, rad, ..., m/s].
 PLAUSIBLE = np.array([1e7, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1e5])
@@ -32,18 +32,19 @@ class MeasurementSet:
         values: (J, 6) measured components; NaN where not measured.
         covariances: (J, 6, 6) their covariance, zero where not measured; all zero for a path that
             leaves it to the filter.
+        base_station: (J,) id of the base station that each path came from; by default the only one.
     """
 
     values: FloatArray
     covariances: FloatArray
+    base_station: IntArray = None  # type: ignore[assignment]  # as many as there are paths
+
+    def __post_init__(self) -> None:
+        if self.base_station is None:
+            object.__setattr__(self, "base_station", np.full(len(self.values), BS_ID))
 
     def __len__(self) -> int:
         return len(self.values)
-
-    @property
-    def measured(self) -> BoolArray:
-        """(J, 6) which components each path has."""
-        return np.isfinite(self.values)
 
 
 def checked_measurements(values: FloatArray, covariances: FloatArray) -> MeasurementSet:

@@ -9,19 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
-from dopslam_ros.core.models.channel import observe
+from dopslam_ros.core.models.channel import Paths, observe
 from dopslam_ros.core.models.detection import detection_probabilities
 from dopslam_ros.core.pcrb.bounds import (
     Bounds,
+    BoundState,
     bounds_of,
     initial_bound,
     predict_bound,
     update_bound,
 )
-from dopslam_ros.core.session.filtering import _BS
 from dopslam_ros.core.session.sequence import BEGUN_ANEW, Sequencer, Timed
 from dopslam_ros.core.settings.bounding import BoundsParameters
-from dopslam_ros.core.settings.layout import DOPPLER
+from dopslam_ros.core.settings.layout import BS_ID, DOPPLER, LandmarkType, X, Y
 from dopslam_ros.core.settings.model import with_doppler_std
 
 
@@ -30,7 +30,7 @@ class WorldState:
     """Where vehicle and landmarks are, to evaluate the bounds at.
 
     Attributes:
-        ue: (4,) state of the vehicle.
+        ue: (U,) state of the vehicle.
         ids: (M,) ids of the landmarks.
         types: (M,) LandmarkType; a BS among them or not.
         positions: (M, 3) [m].
@@ -108,29 +108,46 @@ class BoundsSession:
             self._begin()
         world, model = timed.item, self.parameters
         # The BS takes part once, whether or not the map lists it.
-        listed = world.types != _BS
-        ids = np.concatenate(([-1], world.ids[listed]))
-        types = np.concatenate(([_BS], world.types[listed]))
-        positions = np.concatenate((model.bs[None], world.positions[listed]))
+        others = world.types != LandmarkType.BS
+        ids = np.concatenate(([BS_ID], world.ids[others]))
+        types = np.concatenate(([int(LandmarkType.BS)], world.types[others]))
+        positions = np.concatenate((model.bs[None], world.positions[others]))
         speed = timed.control.speed if timed.control else 0.0
         paths = observe(world.ue, speed, positions, types, model.bs, model.ue_height)
-        if world.detected is None:
-            ue = np.array([world.ue[0], world.ue[1], model.ue_height])
-            chance = detection_probabilities(model, ue, positions, types) * paths.facing
-        else:
-            of_bs = world.detected[~listed].max(initial=0)
-            chance = np.concatenate(([of_bs], world.detected[listed]))
-
-        results, is_bs = [], ids == -1
-        for number, variant in enumerate(self._models):
-            state = self._states[number]
-            if self._ue is not None:
-                state = predict_bound(state, self._ue, timed.spans, variant.noise_rate)
-            used = variant.used_components
-            if timed.control is None or timed.stale:
-                used = used & (np.arange(len(used)) != DOPPLER)
-            state = update_bound(state, paths, ids, is_bs, chance, variant.noise, used)
-            self._states[number] = state
-            results.append(bounds_of(state, ids[1:]))
+        weights = self._weights(world, positions, types, paths)
+        self._states = [
+            self._updated(state, variant, timed, paths, ids, weights)
+            for state, variant in zip(self._states, self._models, strict=True)
+        ]
         self._ue = world.ue
-        return BoundsOutput(timed.stamp_ns, ids[1:], types[1:], results[0], results[1])
+        full, plain = (bounds_of(state, ids[1:]) for state in self._states)
+        return BoundsOutput(timed.stamp_ns, ids[1:], types[1:], full, plain)
+
+    def _weights(
+        self, world: WorldState, positions: FloatArray, types: IntArray, paths: Paths
+    ) -> FloatArray:
+        """(M,) share of the information of each landmark that counts, the BS first."""
+        if world.detected is None:
+            ue = np.array([world.ue[X], world.ue[Y], self.parameters.ue_height])
+            return detection_probabilities(self.parameters, ue, positions, types) * paths.facing
+        others = world.types != LandmarkType.BS
+        of_bs = world.detected[~others].max(initial=0)
+        return np.concatenate(([of_bs], world.detected[others]))
+
+    def _updated(
+        self,
+        state: BoundState,
+        variant: BoundsParameters,
+        timed: Timed[WorldState],
+        paths: Paths,
+        ids: IntArray,
+        weights: FloatArray,
+    ) -> BoundState:
+        """The PIM of one variant of the models after a snapshot."""
+        if self._ue is not None:
+            state = predict_bound(state, self._ue, timed.spans, variant.noise_rate)
+        used = variant.used_components
+        if timed.control is None or timed.stale:
+            used = used & (np.arange(len(used)) != DOPPLER)
+        is_bs = np.arange(len(ids)) == 0
+        return update_bound(state, paths, ids, is_bs, weights, variant.noise, used)

@@ -9,60 +9,22 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from dopslam_ros.core.linalg.gaussian import is_gaussian
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control
-from dopslam_ros.core.monitoring.health import HEALTHY, Health
+from dopslam_ros.core.monitoring.health import Health
 from dopslam_ros.core.monitoring.recovery import monitor_anew, monitor_of, monitored_step
 from dopslam_ros.core.pmb import (
-    Associations,
     FilterParameters,
-    LandmarkEstimates,
     Mixture,
-    landmarks_of,
 )
 from dopslam_ros.core.session.control import ControlledFilter
+from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.core.session.sequence import BEGUN_ANEW, Timed
-from dopslam_ros.core.settings.layout import DOPPLER, LandmarkType
-
-_BS = int(LandmarkType.BS)
-
-
-@dataclass(frozen=True)
-class FilterOutput:
-    """What the filter says after a snapshot.
-
-    Attributes:
-        stamp_ns: time of the snapshot.
-        state: posterior density.
-        parameters: of the filter.
-        control: what the vehicle does at that time; zeros if unknown.
-        measurements: the paths that were used.
-        associations: the hypotheses behind it, about these paths.
-        step_seconds: time that the computation took.
-        anew: whether the estimation begins with it: the first one, or the first after a reset.
-        health: how the filter is after it.
-    """
-
-    stamp_ns: int
-    state: Mixture
-    parameters: FilterParameters
-    control: Control
-    measurements: MeasurementSet
-    associations: Associations
-    step_seconds: float
-    anew: bool = False
-    health: Health = HEALTHY
-
-    @cached_property
-    def landmarks(self) -> LandmarkEstimates:
-        """The map to report; worked out when somebody asks, for it may be large."""
-        return landmarks_of(self.state, self.parameters)
+from dopslam_ros.core.settings.layout import DOPPLER
 
 
 class FilterSession(ControlledFilter):
@@ -175,4 +137,6 @@ def _without_doppler(measurements: MeasurementSet) -> MeasurementSet:
     values = measurements.values.copy()
     values[:, DOPPLER] = np.nan
     some = np.isfinite(values).any(axis=1)
-    return MeasurementSet(values[some], measurements.covariances[some])
+    return MeasurementSet(
+        values[some], measurements.covariances[some], measurements.base_station[some]
+    )

@@ -6,6 +6,8 @@ ones stand that the models of motion and channel know.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple, TypeAlias
 
@@ -26,6 +28,20 @@ class Component(NamedTuple):
     motion: str = ""
 
 
+def units(components: Sequence[Component]) -> str:
+    """The units of components, as of a parameter that has a number for each."""
+    return ", ".join(component.unit for component in components)
+
+
+def listed(components: Sequence[Component]) -> str:
+    """Components in words, a unit after those that have it."""
+    groups = itertools.groupby(components, key=lambda component: component.unit)
+    return ", ".join(
+        ", ".join(one.name.replace("_", " ") for one in group) + f" [{unit}]"
+        for unit, group in groups
+    )
+
+
 # The state of the vehicle, s in the paper: moved by the turn-rate model, or walking at random.
 TURNS, WALKS = "constant turn rate", "random walk"
 VEHICLE = (
@@ -34,7 +50,7 @@ VEHICLE = (
     Component("heading", "rad", angle=True, motion=TURNS),
     Component("clock_bias", "m", motion=WALKS),
 )
-X, Y, HEADING, CLOCK_BIAS = range(4)
+X, Y, HEADING, CLOCK_BIAS = range(len(VEHICLE))
 UE = len(VEHICLE)
 
 # Which components of a vehicle are angles. The compiler knows the length of a tuple, and so the

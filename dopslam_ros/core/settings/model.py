@@ -13,7 +13,7 @@ from dopslam_ros.core.linalg.arrays import (
     BoolArray,
     FloatArray,
 )
-from dopslam_ros.core.settings.layout import COMPONENTS, DIM, DOPPLER
+from dopslam_ros.core.settings.layout import COMPONENTS, DIM, DOPPLER, PATH, VEHICLE, listed, units
 from dopslam_ros.core.settings.parameters import parameter
 
 
@@ -27,23 +27,22 @@ class ModelParameters:
     ue_height: float = parameter(0.0, "Height of the vehicle's antenna.", unit="m")
     initial_state: tuple[float, ...] = parameter(
         (70.7285, 0.0, math.pi / 2.0, 300.0),
-        "Mean of the vehicle's state at the first snapshot: x, y [m], heading [rad], clock bias"
-        " [m].",
-        unit="m, m, rad, m",
-        size=4,
+        f"Mean of the vehicle's state at the first snapshot: {listed(VEHICLE)}.",
+        unit=units(VEHICLE),
+        size=len(VEHICLE),
     )
     initial_std: tuple[float, ...] = parameter(
         (0.3, 0.3, math.radians(0.3), 0.3),
         "Its standard deviations.",
-        unit="m, m, rad, m",
-        size=4,
+        unit=units(VEHICLE),
+        size=len(VEHICLE),
         low=1e-9,
     )
     process_noise_std: tuple[float, ...] = parameter(
         (0.2, 0.2, 0.001, 0.2),
         "Standard deviations of the process noise gathered over one process_noise_period.",
-        unit="m, m, rad, m",
-        size=4,
+        unit=units(VEHICLE),
+        size=len(VEHICLE),
         low=0.0,
     )
     process_noise_period: float = parameter(
@@ -54,7 +53,7 @@ class ModelParameters:
         "Standard deviations of path length [m], azimuth and elevation of arrival, azimuth and"
         " elevation of departure [rad], Doppler [m/s]; NaN for a component that is not measured"
         " or not to be used.",
-        unit="m, rad, rad, rad, rad, m/s",
+        unit=units(PATH),
         size=DIM,
         low=1e-9,
         nan=True,
@@ -106,12 +105,12 @@ class ModelParameters:
 
     @cached_property
     def noise_rate(self) -> FloatArray:
-        """(4,) variance that the process noise adds per second."""
+        """(U,) variance that the process noise adds per second."""
         return np.square(self.process_noise_std) / self.process_noise_period
 
     @cached_property
     def initial_covariance(self) -> FloatArray:
-        """(4, 4) covariance of the initial state."""
+        """(U, U) covariance of the initial state."""
         return np.diag(np.square(self.initial_std))
 
 

@@ -24,8 +24,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from dopslam_ros.bag import serialize
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import Frames
-from dopslam_ros.nodes.runtime import middleware_class, qos_profile, reading_profile
+from dopslam_ros.messages.common import Frames
+from dopslam_ros.nodes.middleware import middleware_class, qos_profile, reading_profile
 from dopslam_ros.simulation.recording import snapshot_messages
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.simulation.simulator import simulate

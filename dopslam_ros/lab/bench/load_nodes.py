@@ -24,8 +24,9 @@ from dopslam_ros.bag import deserialize, serialize
 from dopslam_ros.lab.bench.live_nodes import BEGIN, END, PATIENCE, listen, stamp_of
 from dopslam_ros.lab.bench.soak import endless_scene
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import Frames
-from dopslam_ros.nodes.runtime import LOST, middleware_class, qos_profile
+from dopslam_ros.messages.common import Frames
+from dopslam_ros.nodes.middleware import middleware_class, qos_profile
+from dopslam_ros.nodes.node import LOST
 from dopslam_ros.simulation.recording import snapshot_messages
 from dopslam_ros.simulation.simulator import simulate
 

@@ -18,14 +18,9 @@ from dopslam_ros.core.settings.layout import VEHICLE
 from dopslam_ros.lab.bench.batch import in_a_child, occupied
 from dopslam_ros.lab.bench.records import Measured, Ratio, figure, milliseconds
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import (
-    Frames,
-    read_control,
-    read_measurements,
-    read_message,
-    stamp_ns,
-)
+from dopslam_ros.messages.common import Frames, read_message, stamp_ns
 from dopslam_ros.messages.filter_output import FilterMessages
+from dopslam_ros.messages.inputs import read_control, read_measurements
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.recording import snapshot_messages
 from dopslam_ros.simulation.scenario import Scenario, load_scenario

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.messages import topics
-from dopslam_ros.offline.replay import Replay, replay
+from dopslam_ros.offline.replay import replay
+from dopslam_ros.offline.replay_result import Replay
 
 
 def replay_and_compare(bag: Path, out: Path) -> tuple[Replay, str | None]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.monitoring.health import Level
-from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.lab.failure_injection.inputs import Input, inputs_of
 from dopslam_ros.offline.metrics import nees, state_errors
 from dopslam_ros.simulation.matched import filter_parameters_for

@@ -14,9 +14,9 @@ from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.quantiles import chi_square
 from dopslam_ros.core.settings.layout import CLOCK_BIAS, HEADING, VEHICLE, LandmarkType, X, Y
 from dopslam_ros.lab.figures.style import BOUND, ESTIMATE, TRUTH
-from dopslam_ros.messages.filter_output import ELLIPSOID_PROBABILITY, LOOKS
+from dopslam_ros.messages.markers import ELLIPSOID_PROBABILITY, LOOKS
 from dopslam_ros.offline.metrics import state_errors
-from dopslam_ros.offline.replay import Replay
+from dopslam_ros.offline.replay_result import Replay
 
 MARKS = {LandmarkType.BS: "^", LandmarkType.VA: "s", LandmarkType.SP: "o"}
 # Ellipses are drawn this much larger: at true size they would vanish in a scene of 400 m.

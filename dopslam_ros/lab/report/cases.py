@@ -11,7 +11,8 @@ from dopslam_ros.bag import BagMessage, BagReader
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.core.settings.parameters import ParameterError, checked_values, parse_assignments
-from dopslam_ros.offline.replay import Replay, recorded_parameters, replay
+from dopslam_ros.offline.replay import recorded_parameters, replay
+from dopslam_ros.offline.replay_result import Replay
 from dopslam_ros.system.errors import UsageError
 
 # A setting of its own beside the filter's parameters: a noise in m/s, or none.

@@ -17,7 +17,7 @@ from dopslam_ros.lab.report.series import SIZES, Series, series_of
 from dopslam_ros.lab.study.results import Case as StudyCase
 from dopslam_ros.lab.study.run import table_row
 from dopslam_ros.lab.study.summary import CONFIDENCE, Averages, averages_of, nees_band, summary_rows
-from dopslam_ros.offline.replay import Replay
+from dopslam_ros.offline.replay_result import Replay
 
 # Path length comes first among what is measured.
 PATH_LENGTH = 0

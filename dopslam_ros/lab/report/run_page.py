@@ -27,9 +27,9 @@ from dopslam_ros.lab.report.page import (
 from dopslam_ros.lab.report.recorded import Reports
 from dopslam_ros.lab.report.scene import NAMES, Source, extent_of, scene_of
 from dopslam_ros.lab.report.series import Series, series_of
-from dopslam_ros.messages.filter_output import ELLIPSOID_PROBABILITY
+from dopslam_ros.messages.markers import ELLIPSOID_PROBABILITY
 from dopslam_ros.offline.evaluation import summarise
-from dopslam_ros.offline.replay import Replay
+from dopslam_ros.offline.replay_result import Replay
 
 MAGNIFICATIONS = (1, 3, 10, 30)
 # Ellipses are magnified until they are at least so large, over the size of the scene.

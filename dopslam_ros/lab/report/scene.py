@@ -12,10 +12,10 @@ from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.models.channel import incidence_points
 from dopslam_ros.core.pmb import LandmarkEstimates
 from dopslam_ros.core.pmb.estimates import reported_landmarks
-from dopslam_ros.core.session.filtering import FilterOutput
+from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.core.settings.layout import COMPONENTS, NONE, VEHICLE, LandmarkType
 from dopslam_ros.lab.report.series import Series
-from dopslam_ros.offline.replay import Replay
+from dopslam_ros.offline.replay_result import Replay
 
 # What is not reported as a landmark yet is shown from this probability of existence on, when its
 # place is not worse known than so many times report_std.

@@ -10,10 +10,10 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.quantiles import chi_square
-from dopslam_ros.core.session.filtering import FilterOutput
+from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.core.settings.layout import CLOCK_BIAS, HEADING, VEHICLE, X, Y
 from dopslam_ros.offline.evaluation import StepRecord
-from dopslam_ros.offline.replay import Replay
+from dopslam_ros.offline.replay_result import Replay
 
 Series: TypeAlias = dict[str, FloatArray]
 

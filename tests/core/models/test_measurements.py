@@ -15,7 +15,7 @@ from dopslam_ros.core.models.measurements import (
     InvalidMeasurements,
     checked_measurements,
 )
-from dopslam_ros.core.settings.layout import DIM
+from dopslam_ros.core.settings.layout import BS_ID, DIM
 
 Arguments: TypeAlias = tuple[FloatArray, FloatArray]
 
@@ -41,7 +41,8 @@ def test_good_sets_pass_as_they_are() -> None:
         checked = checked_measurements(GOOD, given)
         np.testing.assert_allclose(checked.values, GOOD, rtol=1e-15)
         np.testing.assert_array_equal(checked.covariances, given)
-        assert len(checked) == 2 and checked.measured.all()
+        assert len(checked) == 2 and np.isfinite(checked.values).all()
+        assert checked.base_station.tolist() == [BS_ID, BS_ID]
 
 
 def test_an_empty_set_passes() -> None:
@@ -55,7 +56,7 @@ def test_components_may_be_missing_and_their_covariance_is_not_looked_at() -> No
     given[0, :, [2, 5]] = math.nan
     given[0, 5, 5] = -1.0
     checked = checked_measurements(values, given)
-    assert checked.measured[0].tolist() == [True, True, False, True, True, False]
+    assert np.isfinite(checked.values[0]).tolist() == [True, True, False, True, True, False]
 
 
 def test_azimuths_are_wrapped_and_the_argument_left_alone() -> None:

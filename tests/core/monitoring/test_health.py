@@ -10,7 +10,8 @@ import pytest
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.monitoring.health import LOST_AT, Level
 from dopslam_ros.core.pmb import FilterParameters
-from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
 from dopslam_ros.simulation.simulator import simulate

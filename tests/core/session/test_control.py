@@ -14,7 +14,8 @@ from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.session.checkpoint import BEFORE_ALL, Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_file import decode, to_bytes
 from dopslam_ros.core.session.events import Event, Pauses
-from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.core.settings.layout import UE
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
@@ -285,7 +286,7 @@ def test_a_snapshot_in_the_place_of_a_map_is_refused_and_changes_nothing(
 
 def test_the_settings_of_a_session_are_those_of_a_filter() -> None:
     """A node's own settings, file names among them, are nobody else's business."""
-    from dopslam_ros.nodes.filter import FilterNodeParameters
+    from dopslam_ros.nodes.filter_parameters import FilterNodeParameters
 
     saved = FilterSession(FilterNodeParameters()).snapshot()
     assert "map_frame" not in saved.parameters

@@ -16,7 +16,8 @@ from dopslam_ros.core.models.motion import Control, ControlSpan, propagate_spans
 from dopslam_ros.core.models.refusal import Refused
 from dopslam_ros.core.monitoring import recovery as recovery_module
 from dopslam_ros.core.pmb import FilterParameters, initial_filter_state, mixture_step, step
-from dopslam_ros.core.session.filtering import FilterOutput, FilterSession
+from dopslam_ros.core.session.filtering import FilterSession
+from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.core.settings.layout import DIM, DOPPLER
 from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.simulation.matched import filter_parameters_for

@@ -11,7 +11,7 @@ from dopslam_ros.bag import BagReader, BagWriter, message_class, serialize
 from dopslam_ros.core.settings.parameters import commented_yaml
 from dopslam_ros.lab.bench import soak
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import make_text
+from dopslam_ros.messages.common import make_text
 from dopslam_ros.offline.replay import replay
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario

@@ -15,7 +15,8 @@ from scipy.stats import chi2
 from dopslam_ros.bag import BagReader, BagWriter
 from dopslam_ros.cli.main import main
 from dopslam_ros.lab.figures.run import MAGNIFIED, _ellipse, draw_run
-from dopslam_ros.offline.replay import Replay, replay
+from dopslam_ros.offline.replay import replay
+from dopslam_ros.offline.replay_result import Replay
 
 if TYPE_CHECKING:
     from tests.conftest import LiveRun

@@ -19,7 +19,7 @@ from dopslam_ros.core.settings.layout import DOPPLER
 from dopslam_ros.lab.report.cases import Case, bags_in, grouped, parse_case, run_cases
 from dopslam_ros.lab.report.comparison import compare
 from dopslam_ros.offline.metrics import nees
-from dopslam_ros.offline.replay import Replay
+from dopslam_ros.offline.replay_result import Replay
 from dopslam_ros.simulation.recording import write_simulation
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.system.errors import UsageError

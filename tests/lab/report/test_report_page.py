@@ -14,7 +14,7 @@ from dopslam_ros.bag import BagReader, BagWriter, message_class, serialize
 from dopslam_ros.cli.main import main
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.messages import topics
-from dopslam_ros.messages.conversion import make_diagnostics
+from dopslam_ros.messages.diagnostics import make_diagnostics
 from dopslam_ros.offline.replay import replay
 from dopslam_ros.simulation.recording import write_simulation
 from dopslam_ros.simulation.scenario import load_scenario

@@ -17,7 +17,8 @@ from dopslam_ros.lab.report.page import PALETTE
 from dopslam_ros.lab.report.scene import Source, extent_of, scene_of
 from dopslam_ros.lab.report.series import Series, series_of
 from dopslam_ros.messages import topics
-from dopslam_ros.offline.replay import Replay, replay
+from dopslam_ros.offline.replay import replay
+from dopslam_ros.offline.replay_result import Replay
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import all_landmarks, simulate
 
