@@ -21,7 +21,7 @@ from dopslam_ros.core.models.motion import Control
 from dopslam_ros.core.monitoring.pose_problem import Clock
 from dopslam_ros.core.monitoring.pose_search import solutions
 from dopslam_ros.core.pmb import FilterParameters, initial_filter_state
-from dopslam_ros.core.pmb import coordinates_kernels as placement
+from dopslam_ros.core.pmb import coordinates_kernels as coordinates
 from dopslam_ros.core.pmb import inactive_kernels as inactive
 from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.density import Regressions, block_starts
@@ -79,7 +79,7 @@ def touch_the_rest() -> None:
     regressions = Regressions(np.zeros((0, 1), np.int64), none, nobody, none, nobody, nobody)
     inactive.reactivated(state.density, regressions)
     inactive.current(state.density, regressions)
-    placement.in_space(none, nobody, none, nobody)
+    coordinates.in_space(none, nobody, none, nobody)
     solutions(state, observed, 0.0, Clock(0.0, 1.0), parameters)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ def integers(values: IntArray) -> IntArray:
     return ready if ready.flags.writeable else ready.copy()
 
 
-def check_shapes(**arrays: tuple[FloatArray, tuple[int, ...]]) -> None:
+def check_shapes(**arrays: tuple[npt.NDArray[Any], tuple[int, ...]]) -> None:
     """Compiled functions look at no bounds, so what enters them from outside is checked.
 
     Args:

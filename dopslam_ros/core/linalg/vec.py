@@ -27,9 +27,34 @@ def vec(values: FloatArray) -> Vec:
 
 
 @jit
+def write(v: Vec, values: FloatArray) -> None:
+    """Writes a vector into an array (3,)."""
+    values[0], values[1], values[2] = v.x, v.y, v.z
+
+
+@jit
+def write_row(v: Vec, rows: FloatArray, row: int) -> None:
+    """Writes a vector into a row of an array (n, 3)."""
+    rows[row, 0], rows[row, 1], rows[row, 2] = v.x, v.y, v.z
+
+
+@jit
 def between(start: Vec, end: Vec) -> Vec:
     """From one position to another."""
     return Vec(end.x - start.x, end.y - start.y, end.z - start.z)
+
+
+@jit
+def distance_between(a: Vec, b: Vec) -> float:
+    """How far two positions are from each other."""
+    x, y, z = between(a, b)
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@jit
+def moved(start: Vec, factor: float, v: Vec) -> Vec:
+    """A position, so many times a vector further."""
+    return Vec(start.x + factor * v.x, start.y + factor * v.y, start.z + factor * v.z)
 
 
 @jit

@@ -19,9 +19,10 @@ from dopslam_ros.core.linalg.arrays import (
     floats,
     integers,
 )
-from dopslam_ros.core.linalg.vec import SMALLEST_DISTANCE
-from dopslam_ros.core.models import channel_kernels as kernels
-from dopslam_ros.core.settings.layout import DIM, VEHICLE, LandmarkType
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.linalg.vec import SMALLEST_DISTANCE, vec
+from dopslam_ros.core.models.channel_kernels import observe_source, vehicle_of, wrap_azimuths
+from dopslam_ros.core.settings.layout import BS, DIM, SPACE, VEHICLE, LandmarkType, X, Y
 
 
 class Paths(NamedTuple):
@@ -29,8 +30,8 @@ class Paths(NamedTuple):
 
     Attributes:
         mean: (M, 6) h(x, s).
-        ue_jacobian: (M, 6, 4) A = dh/ds.
-        landmark_jacobian: (M, 6, 3) B = dh/dx; zero for a BS, whose place is known.
+        ue_jacobian: (M, 6, U) A = dh/ds.
+        landmark_jacobian: (M, 6, 3) B = dh/dx; zero for a BS, whose position is known.
         degenerate: (M,) the geometry has no answer (vehicle or BS at the landmark, vehicle exactly
             under it, VA at the BS). The row is then finite but means nothing; Jacobians are zero.
         facing: (M,) the path can exist: for a VA, vehicle and BS are on the same side of the wall.
@@ -58,7 +59,7 @@ def observe(
     divided by, so nothing blows up when the vehicle comes near the wall.
 
     Args:
-        state: (4,) x [m], y [m], heading [rad], clock bias [m].
+        state: (U,) components of the vehicle (``layout.VEHICLE``).
         speed: v [m/s], for the Doppler.
         positions: (M, 3) landmark positions [m], map frame; ignored for a BS.
         types: (M,) LandmarkType.
@@ -69,23 +70,48 @@ def observe(
         ValueError: the shapes do not fit together.
     """
     count, size = len(types), max(len(state), len(VEHICLE))
-    check_shapes(state=(state, (size,)), positions=(positions, (count, 3)), bs=(bs_position, (3,)))
-    paths = Paths(
-        np.empty((count, DIM)),
-        np.empty((count, DIM, size)),
-        np.empty((count, DIM, 3)),
-        np.empty(count, dtype=np.bool_),
-        np.empty(count, dtype=np.bool_),
+    check_shapes(
+        state=(state, (size,)), positions=(positions, (count, SPACE)), bs=(bs_position, (SPACE,))
     )
-    kernels.observe_sources(
+    return observe_sources(
         floats(state),
         float(speed),
         floats(bs_position),
         float(ue_height),
         floats(positions),
         integers(types),
-        *paths,
     )
+
+
+@from_python
+def observe_sources(
+    state: FloatArray,
+    speed: float,
+    bs_position: FloatArray,
+    ue_height: float,
+    positions: FloatArray,
+    types: IntArray,
+) -> Paths:
+    """``observe`` where all is of the kind that is compiled."""
+    count = len(types)
+    paths = Paths(
+        np.empty((count, DIM)),
+        np.empty((count, DIM, len(state))),
+        np.empty((count, DIM, SPACE)),
+        np.empty(count, np.bool_),
+        np.empty(count, np.bool_),
+    )
+    vehicle, bs = vehicle_of(state, ue_height, speed), vec(bs_position)
+    for m in range(count):
+        paths.degenerate[m], paths.facing[m] = observe_source(
+            vehicle,
+            bs,
+            bs if types[m] == BS else vec(positions[m]),
+            types[m],
+            paths.mean[m],
+            paths.ue_jacobian[m],
+            paths.landmark_jacobian[m],
+        )
     return paths
 
 
@@ -101,7 +127,7 @@ def incidence_points(
     For a VA the point where the line to it crosses the wall, for an SP the SP itself, for the BS
     the BS. NaN where a VA's line does not cross the wall between vehicle and VA.
     """
-    ue = np.array([state[0], state[1], ue_height])
+    ue = np.array([state[X], state[Y], ue_height])
     target = np.where((types == LandmarkType.BS)[:, None], bs_position, positions)
     leg = target - bs_position
     normal = leg / np.maximum(np.linalg.norm(leg, axis=1), SMALLEST_DISTANCE)[:, None]
@@ -116,5 +142,5 @@ def incidence_points(
 def residual(measured: FloatArray, expected: FloatArray) -> FloatArray:
     """Innovation z - h (..., 6) with the azimuths wrapped; NaN where nothing was measured."""
     difference = floats(np.subtract(measured, expected))
-    kernels.wrap_azimuths(difference.reshape(-1, DIM))
+    wrap_azimuths(difference.reshape(-1, DIM))
     return difference

@@ -1,11 +1,11 @@
-"""h(x, s) of eqs. (4)-(12), A = dh/ds and B = dh/dx, for one landmark and for many."""
+"""h(x, s) of eqs. (4)-(12), A = dh/ds and B = dh/dx, for one landmark."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
+from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.linalg.vec import (
     SMALLEST_DISTANCE,
@@ -15,7 +15,7 @@ from dopslam_ros.core.linalg.vec import (
     horizontal,
     scaled,
     unit,
-    vec,
+    write_row,
 )
 from dopslam_ros.core.settings.layout import (
     AOA_AZIMUTH,
@@ -33,6 +33,36 @@ from dopslam_ros.core.settings.layout import (
     X,
     Y,
 )
+
+
+class Vehicle(NamedTuple):
+    """What the channel depends on of the vehicle.
+
+    Attributes:
+        position: of its antenna [m].
+        velocity: v of eq. (12) [m/s].
+        heading: [rad].
+        clock_bias: [m].
+    """
+
+    position: Vec
+    velocity: Vec
+    heading: float
+    clock_bias: float
+
+
+@jit
+def vehicle_of(state: FloatArray, ue_height: float, speed: float) -> Vehicle:
+    """The vehicle with a state (U, or more behind it) that drives along its heading, eq. (12).
+
+    Args:
+        state: its components (``layout.VEHICLE``) first.
+        ue_height: z of the antenna [m].
+        speed: [m/s].
+    """
+    heading = state[HEADING]
+    velocity = Vec(speed * math.cos(heading), speed * math.sin(heading), 0.0)
+    return Vehicle(Vec(state[X], state[Y], ue_height), velocity, heading, state[CLOCK_BIAS])
 
 
 class Legs(NamedTuple):
@@ -100,11 +130,9 @@ def doppler(velocity: Vec, arrival: Vec) -> float:
 
 @jit
 def observe_source(
-    ue: FloatArray,
-    speed: float,
-    bs: FloatArray,
-    ue_height: float,
-    position: FloatArray,
+    vehicle: Vehicle,
+    bs: Vec,
+    landmark: Vec,
     kind: int,
     h: FloatArray,
     a: FloatArray,
@@ -113,11 +141,9 @@ def observe_source(
     """h(x, s) of eqs. (4)-(12) with A = dh/ds and B = dh/dx, for one landmark.
 
     Args:
-        ue: (U,) components of the vehicle (``layout.VEHICLE``).
-        speed: v [m/s].
-        bs: (3,) position of the base station [m].
-        ue_height: z of the vehicle's antenna [m].
-        position: (3,) of the landmark [m]; ignored for the BS.
+        vehicle: s, and what it does.
+        bs: position of the base station [m].
+        landmark: x [m]; for the BS where it is itself.
         kind: LandmarkType.
         h: (6,) to be written.
         a: (6, U) to be written.
@@ -127,22 +153,20 @@ def observe_source(
         Whether the geometry is degenerate (h is then finite but means nothing, A and B are zero)
         and whether the path can exist; see ``channel.Paths``.
     """
-    vehicle, station = Vec(ue[X], ue[Y], ue_height), vec(bs)
-    landmark = station if kind == BS else vec(position)
-    velocity = Vec(speed * math.cos(ue[HEADING]), speed * math.sin(ue[HEADING]), 0.0)
-    legs = legs_of(vehicle, station, landmark, kind)
-    h[TOA] = toa(legs, ue[CLOCK_BIAS], kind)
-    h[AOA_AZIMUTH] = wrapped(azimuth(legs.arrival) - ue[HEADING])
+    legs = legs_of(vehicle.position, bs, landmark, kind)
+    h[TOA] = toa(legs, vehicle.clock_bias, kind)
+    h[AOA_AZIMUTH] = wrapped(azimuth(legs.arrival) - vehicle.heading)
     h[AOA_ELEVATION] = elevation(legs.arrival)
     h[AOD_AZIMUTH] = azimuth(legs.departure)
     h[AOD_ELEVATION] = elevation(legs.departure)
-    h[DOPPLER] = doppler(velocity, legs.arrival)
+    h[DOPPLER] = doppler(vehicle.velocity, legs.arrival)
     clear(a, b)
-    beneath, ground = horizontal(between(vehicle, landmark)), horizontal(legs.departure)
+    beneath = horizontal(between(vehicle.position, landmark))
+    ground = horizontal(legs.departure)
     if min(legs.distance, legs.leg, beneath, ground) < SMALLEST_DISTANCE:
         return True, False
-    differentiate(legs, velocity, h[DOPPLER], kind, a, b)
-    return False, kind != VA or before_the_wall(vehicle, station, landmark, legs.outward)
+    differentiate(legs, vehicle.velocity, h[DOPPLER], kind, a, b)
+    return False, kind != VA or before_the_wall(vehicle.position, bs, landmark, legs.outward)
 
 
 @jit
@@ -152,38 +176,6 @@ def before_the_wall(vehicle: Vec, bs: Vec, va: Vec, normal: Vec) -> bool:
     beyond += normal.y * (vehicle.y - 0.5 * (va.y + bs.y))
     beyond += normal.z * (vehicle.z - 0.5 * (va.z + bs.z))
     return beyond < -SMALLEST_DISTANCE
-
-
-@from_python
-def observe_sources(
-    ue: FloatArray,
-    speed: float,
-    bs: FloatArray,
-    ue_height: float,
-    positions: FloatArray,
-    types: IntArray,
-    mean: FloatArray,
-    ue_jacobian: FloatArray,
-    landmark_jacobian: FloatArray,
-    degenerate: BoolArray,
-    facing: BoolArray,
-) -> None:
-    """``observe_source`` for M landmarks: positions (M, 3), types (M,); the rest is written.
-
-    mean (M, 6), ue_jacobian (M, 6, U), landmark_jacobian (M, 6, 3), degenerate (M,), facing (M,).
-    """
-    for m in range(len(types)):
-        degenerate[m], facing[m] = observe_source(
-            ue,
-            speed,
-            bs,
-            ue_height,
-            positions[m],
-            types[m],
-            mean[m],
-            ue_jacobian[m],
-            landmark_jacobian[m],
-        )
 
 
 @jit
@@ -227,12 +219,6 @@ def elevation_gradient(direction: Vec, distance: float) -> Vec:
 
 
 @jit
-def put(gradient: Vec, jacobian: FloatArray, row: int) -> None:
-    """Writes a gradient by a position into a row of B (6, 3)."""
-    jacobian[row, 0], jacobian[row, 1], jacobian[row, 2] = gradient.x, gradient.y, gradient.z
-
-
-@jit
 def differentiate(
     legs: Legs, velocity: Vec, speed_along: float, kind: int, a: FloatArray, b: FloatArray
 ) -> None:
@@ -253,8 +239,8 @@ def differentiate(
         b[TOA, 0] += legs.outward.x
         b[TOA, 1] += legs.outward.y
         b[TOA, 2] += legs.outward.z
-        put(azimuth_gradient(legs.outward, legs.leg), b, AOD_AZIMUTH)
-        put(elevation_gradient(legs.outward, legs.leg), b, AOD_ELEVATION)
+        write_row(azimuth_gradient(legs.outward, legs.leg), b, AOD_AZIMUTH)
+        write_row(elevation_gradient(legs.outward, legs.leg), b, AOD_ELEVATION)
     else:  # the BS does not move; its line ends at the vehicle
         for row in range(DIM):
             b[row, 0] = b[row, 1] = b[row, 2] = 0.0
@@ -274,9 +260,9 @@ def differentiate_arrival(
     d(v'u)/dx = (v - (v'u) u) / distance; the vehicle moves h as the landmark does, the other way.
     """
     u, distance = legs.arrival, legs.distance
-    put(u, b, TOA)
-    put(azimuth_gradient(u, distance), b, AOA_AZIMUTH)
-    put(elevation_gradient(u, distance), b, AOA_ELEVATION)
+    write_row(u, b, TOA)
+    write_row(azimuth_gradient(u, distance), b, AOA_AZIMUTH)
+    write_row(elevation_gradient(u, distance), b, AOA_ELEVATION)
     b[DOPPLER, 0] = (velocity.x - speed_along * u.x) / distance
     b[DOPPLER, 1] = (velocity.y - speed_along * u.y) / distance
     b[DOPPLER, 2] = -speed_along * u.z / distance

@@ -8,7 +8,24 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
 from dopslam_ros.core.linalg.jit import jit
-from dopslam_ros.core.linalg.vec import SMALLEST_DISTANCE
+from dopslam_ros.core.linalg.vec import (
+    SMALLEST_DISTANCE,
+    Vec,
+    between,
+    distance_between,
+    dot,
+    moved,
+    write_row,
+)
+from dopslam_ros.core.models.channel_kernels import Vehicle
+from dopslam_ros.core.settings.layout import (
+    AOA_AZIMUTH,
+    AOA_ELEVATION,
+    AOD_AZIMUTH,
+    AOD_ELEVATION,
+    SPACE,
+    TOA,
+)
 
 # Rounds that settle an elevation that was not measured, and the largest sine it may have.
 ELEVATION_ROUNDS = 10
@@ -18,144 +35,141 @@ PARALLEL = 1e-4
 
 
 @jit
-def incidence_points(
-    ue: FloatArray,
-    ue_height: float,
-    bs: FloatArray,
-    height_mean: float,
-    values: FloatArray,
-    points: FloatArray,
-    located: BoolArray,
-) -> None:
-    """Where J paths touched the world, from few of their components.
+def measured_incidence_points(
+    vehicle: Vehicle, bs: Vec, landmark_height_mean: float, values: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Where J paths touched the world, x_inc below eq. (4), and whether that can be told.
 
     Args:
-        ue: (4,) the vehicle.
-        ue_height: [m].
-        bs: (3,) [m].
-        height_mean: prior of a landmark's height [m].
+        vehicle: where it is.
+        bs: position of the base station [m].
+        landmark_height_mean: prior of a landmark's height [m].
         values: (J, 6) z, NaN where not measured.
-        points: (J, 3) to be written [m]; beside the vehicle where not located.
-        located: (J,) to be written: whether the path can be located.
+
+    Returns:
+        (J, 3) points [m], beside the vehicle where that cannot be told, and (J,) whether it can.
     """
-    vehicle = np.array([ue[0], ue[1], ue_height])
-    direct = math.sqrt((bs[0] - ue[0]) ** 2 + (bs[1] - ue[1]) ** 2 + (bs[2] - ue_height) ** 2)
+    points, located = np.empty((len(values), SPACE)), np.empty(len(values), np.bool_)
     for j in range(len(values)):
-        z = values[j]
-        azimuth, point = z[1] + ue[2], points[j]
-        arrival = math.isfinite(z[1])
-        departure = math.isfinite(z[3])
-        if not math.isfinite(z[2]) and departure and math.isfinite(z[4]):
-            arrival = False  # the ray of departure is better known
-        found = False
-        if not math.isfinite(z[0]):
-            found = math.isfinite(z[1]) and departure
-            found = found and closest_point(vehicle, bs, azimuth, z[2], z[3], z[4], point)
-        elif z[0] - ue[3] > direct:
-            length = z[0] - ue[3]
-            if arrival:
-                found = ellipsoid_point(vehicle, bs, azimuth, z[2], length, height_mean, point)
-            elif departure:
-                found = ellipsoid_point(bs, vehicle, z[3], z[4], length, height_mean, point)
-        located[j] = found
-        if not found:
-            for i in range(3):
-                point[i] = vehicle[i] + 1.0
+        located[j], point = incidence_point(vehicle, bs, landmark_height_mean, values[j])
+        if not located[j]:
+            here = vehicle.position
+            point = Vec(here.x + 1.0, here.y + 1.0, here.z + 1.0)
+        write_row(point, points, j)
+    return points, located
+
+
+@jit
+def incidence_point(
+    vehicle: Vehicle, bs: Vec, landmark_height_mean: float, z: FloatArray
+) -> tuple[bool, Vec]:
+    """Whether one path z (6,) says where it touched the world, and where [m].
+
+    With a delay it is on an ellipsoid, in the direction of arrival, or else of departure; without
+    it is where both rays pass closest.
+    """
+    ue, azimuth = vehicle.position, z[AOA_AZIMUTH] + vehicle.heading
+    arrival, departure = math.isfinite(z[AOA_AZIMUTH]), math.isfinite(z[AOD_AZIMUTH])
+    if not math.isfinite(z[TOA]):
+        if not (arrival and departure):
+            return False, ue
+        u = ray(azimuth, z[AOA_ELEVATION])
+        return closest_point(ue, u, bs, ray(z[AOD_AZIMUTH], z[AOD_ELEVATION]))
+    length = z[TOA] - vehicle.clock_bias
+    if not length > distance_between(ue, bs):
+        return False, ue
+    if not math.isfinite(z[AOA_ELEVATION]) and departure and math.isfinite(z[AOD_ELEVATION]):
+        arrival = False  # the ray of departure is better known
+    if arrival:
+        return ellipsoid_point(ue, bs, azimuth, z[AOA_ELEVATION], length, landmark_height_mean)
+    if departure:
+        return ellipsoid_point(
+            bs, ue, z[AOD_AZIMUTH], z[AOD_ELEVATION], length, landmark_height_mean
+        )
+    return False, ue
 
 
 @jit
 def ellipsoid_point(
-    focus: FloatArray,
-    other: FloatArray,
+    focus: Vec,
+    other: Vec,
     azimuth: float,
     elevation: float,
     length: float,
-    height_mean: float,
-    point: FloatArray,
-) -> bool:
+    landmark_height_mean: float,
+) -> tuple[bool, Vec]:
     """Where a ray from one focus meets the ellipsoid of points with that sum of distances.
 
     Args:
-        focus: (3,) [m].
-        other: (3,) the other focus [m].
+        focus: where the ray begins [m].
+        other: the other focus [m].
         azimuth: of the ray, map frame [rad].
         elevation: of the ray [rad]; NaN to settle it towards the prior height.
-        length: sum of the distances, more than the foci are apart [m].
-        height_mean: prior height [m].
-        point: (3,) to be written [m].
+        length: sum of the distances, more than that of the foci from each other [m].
+        landmark_height_mean: prior height [m].
 
     Returns:
-        Whether it meets it.
+        Whether it meets it, and where [m].
     """
     unknown = math.isnan(elevation)
     if unknown:
         elevation = 0.0
-    dx, dy, dz = focus[0] - other[0], focus[1] - other[1], focus[2] - other[2]
-    excess = 0.5 * (length * length - dx * dx - dy * dy - dz * dz)
-    met = False
+    d = between(other, focus)
+    excess = 0.5 * (length * length - d.x * d.x - d.y * d.y - d.z * d.z)
+    met, point = False, focus
     for _ in range(ELEVATION_ROUNDS if unknown else 1):
-        x, y, z = ray(azimuth, elevation)
-        below = length + x * dx + y * dy + z * dz
+        u = ray(azimuth, elevation)
+        below = length + u.x * d.x + u.y * d.y + u.z * d.z
         met = abs(below) >= SMALLEST_DISTANCE
-        reach = excess / below if met else 1.0
-        point[0], point[1], point[2] = (
-            focus[0] + reach * x,
-            focus[1] + reach * y,
-            focus[2] + reach * z,
-        )
+        distance = excess / below if met else 1.0
+        point = moved(focus, distance, u)
         if unknown:
-            ratio = (height_mean - focus[2]) / max(reach, 1.0)
+            ratio = (landmark_height_mean - focus.z) / max(distance, 1.0)
             elevation = math.asin(min(max(ratio, -STEEPEST), STEEPEST))
-    return met
+    return met, point
 
 
 @jit
-def closest_point(
-    ue: FloatArray,
-    bs: FloatArray,
-    arrival_azimuth: float,
-    arrival_elevation: float,
-    departure_azimuth: float,
-    departure_elevation: float,
-    point: FloatArray,
-) -> bool:
-    """The midpoint (3,) where the rays of arrival and departure pass closest, both ahead.
+def closest_point(ue: Vec, arrival: Vec, bs: Vec, departure: Vec) -> tuple[bool, Vec]:
+    """The midpoint [m] where the rays of arrival and departure pass closest, if that is ahead.
 
-    An elevation of NaN counts as 0.
+    Args:
+        ue: position of the vehicle [m].
+        arrival: unit vector of the ray from it.
+        bs: position of the base station [m].
+        departure: unit vector of the ray from there.
+
+    Returns:
+        Whether the rays are not parallel and the point is ahead on both, and the point.
     """
-    ux, uy, uz = ray(arrival_azimuth, arrival_elevation)
-    wx, wy, wz = ray(departure_azimuth, departure_elevation)
-    x, y, z = bs[0] - ue[0], bs[1] - ue[1], bs[2] - ue[2]
-    cosine = ux * wx + uy * wy + uz * wz
+    u, w, d = arrival, departure, between(ue, bs)
+    cosine = dot(u, w)
     sine = 1.0 - cosine * cosine
     if sine < PARALLEL:
-        return False
-    on_u: float = ux * x + uy * y + uz * z
-    on_w: float = wx * x + wy * y + wz * z
+        return False, ue
+    on_u, on_w = dot(u, d), dot(w, d)
     along_u = (on_u - cosine * on_w) / sine
     along_w = (cosine * on_u - on_w) / sine
-    point[0] = 0.5 * (ue[0] + along_u * ux + bs[0] + along_w * wx)
-    point[1] = 0.5 * (ue[1] + along_u * uy + bs[1] + along_w * wy)
-    point[2] = 0.5 * (ue[2] + along_u * uz + bs[2] + along_w * wz)
-    return min(along_u, along_w) > 0.0
+    point = Vec(
+        0.5 * (ue.x + along_u * u.x + bs.x + along_w * w.x),
+        0.5 * (ue.y + along_u * u.y + bs.y + along_w * w.y),
+        0.5 * (ue.z + along_u * u.z + bs.z + along_w * w.z),
+    )
+    return min(along_u, along_w) > 0.0, point
 
 
 @jit
-def ray(azimuth: float, elevation: float) -> tuple[float, float, float]:
+def ray(azimuth: float, elevation: float) -> Vec:
     """Unit vector of a direction [rad]; an elevation of NaN counts as 0."""
     if math.isnan(elevation):
         elevation = 0.0
     ground = math.cos(elevation)
-    return ground * math.cos(azimuth), ground * math.sin(azimuth), math.sin(elevation)
+    return Vec(ground * math.cos(azimuth), ground * math.sin(azimuth), math.sin(elevation))
 
 
 @jit
-def to_virtual_anchor(ue: FloatArray, ue_height: float, bs: FloatArray, point: FloatArray) -> None:
-    """Moves the incidence point (3,) of a path on a wall to the VA behind it."""
-    x, y, z = point[0] - ue[0], point[1] - ue[1], point[2] - ue_height
-    first = math.sqrt(x * x + y * y + z * z)
-    u, v, w = point[0] - bs[0], point[1] - bs[1], point[2] - bs[2]
-    ratio = math.sqrt(u * u + v * v + w * w) / max(first, SMALLEST_DISTANCE)
-    point[0] += ratio * x
-    point[1] += ratio * y
-    point[2] += ratio * z
+def virtual_anchor_of(vehicle: Vec, bs: Vec, incidence: Vec) -> Vec:
+    """The VA behind the wall on which a path has its incidence point; all are positions [m]."""
+    ratio = distance_between(bs, incidence)
+    ratio /= max(distance_between(vehicle, incidence), SMALLEST_DISTANCE)
+    return moved(incidence, ratio, between(vehicle, incidence))

@@ -25,7 +25,8 @@ from dopslam_ros.core.linalg.small import (
     solve,
     used_places,
 )
-from dopslam_ros.core.models.channel_kernels import observe_source, wrapped
+from dopslam_ros.core.linalg.vec import vec
+from dopslam_ros.core.models.channel_kernels import observe_source, vehicle_of, wrapped
 from dopslam_ros.core.monitoring.pose_problem import POSE, Problem
 from dopslam_ros.core.settings.layout import (
     AZIMUTHS,
@@ -100,11 +101,9 @@ def compare(
     """
     landmarks, paths = problem.landmarks, problem.paths
     degenerate, facing = observe_source(
-        pose,
-        problem.speed,
-        problem.bs,
-        problem.ue_height,
-        landmarks.position[m],
+        vehicle_of(pose, problem.ue_height, problem.speed),
+        vec(problem.bs),
+        vec(landmarks.position[m]),
         landmarks.kind[m],
         work.h,
         work.a,

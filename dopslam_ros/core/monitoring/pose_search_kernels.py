@@ -8,8 +8,8 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python, jit
-from dopslam_ros.core.linalg.vec import Vec, between, unit, vec
-from dopslam_ros.core.models.channel_kernels import mirrored, wrapped
+from dopslam_ros.core.linalg.vec import Vec, between, horizontal, scaled, unit, vec
+from dopslam_ros.core.models.channel_kernels import azimuth, mirrored, wrapped
 from dopslam_ros.core.models.incidence import ray
 from dopslam_ros.core.monitoring.pose_fit import (
     Workspace,
@@ -105,13 +105,13 @@ def pose_from_path(problem: Problem, m: int, z: FloatArray, pose: FloatArray) ->
     if not (math.isfinite(z[AOA_AZIMUTH]) and math.isfinite(z[AOD_AZIMUTH])):
         return False
     clock, bs, position = problem.clock, problem.bs, problem.landmarks.position[m]
-    wx, wy, wz = ray(z[AOD_AZIMUTH], z[AOD_ELEVATION])
-    ux, uy, uz = -wx, -wy, -wz
+    departure = ray(z[AOD_AZIMUTH], z[AOD_ELEVATION])
+    arrival = scaled(-1.0, departure)
     if problem.landmarks.kind[m] == VA:
         _, normal = unit(between(vec(bs), vec(position)))
-        ux, uy, uz = mirrored(Vec(wx, wy, wz), normal)
+        arrival = mirrored(departure, normal)
     height = position[2] - problem.ue_height
-    ground = math.sqrt(ux * ux + uy * uy)
+    ground = horizontal(arrival)
     if ground < 1e-6:
         return False
     distance = FARTHEST  # on the ground
@@ -120,14 +120,14 @@ def pose_from_path(problem: Problem, m: int, z: FloatArray, pose: FloatArray) ->
         slant = z[TOA] - clock.mean
         distance = math.sqrt(max(slant * slant - height * height, 1.0))
     else:
-        slope = uz / ground
+        slope = arrival.z / ground
         if math.isfinite(z[AOA_ELEVATION]):
             slope = 0.5 * (slope + math.tan(z[AOA_ELEVATION]))
         if slope * height > 0.0:
             distance = min(height / slope, FARTHEST)
-    pose[X] = position[0] - distance * ux / ground
-    pose[Y] = position[1] - distance * uy / ground
-    pose[HEADING] = wrapped(math.atan2(uy, ux) - z[AOA_AZIMUTH])
+    pose[X] = position[0] - distance * arrival.x / ground
+    pose[Y] = position[1] - distance * arrival.y / ground
+    pose[HEADING] = wrapped(azimuth(arrival) - z[AOA_AZIMUTH])
     pose[CLOCK_BIAS] = clock.mean
     if delayed and not clock_known:
         pose[CLOCK_BIAS] = z[TOA] - math.sqrt(distance * distance + height * height)

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray, floats, integers
+from dopslam_ros.core.linalg.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    check_shapes,
+    floats,
+    integers,
+)
 from dopslam_ros.core.models.channel import Paths
-from dopslam_ros.core.models.motion import ControlSpan, span_rows
-from dopslam_ros.core.models.motion_kernels import predict
+from dopslam_ros.core.models.motion import ControlSpan, predict, span_rows
 from dopslam_ros.core.pcrb import bounds_kernels as kernels
+from dopslam_ros.core.pcrb.bounds_kernels import BoundState, PathInformation
 from dopslam_ros.core.settings.layout import DIM, DOPPLER
 from dopslam_ros.core.settings.model import ModelParameters
-
-
-@dataclass(frozen=True)
-class BoundState:
-    """What the recursion carries from one snapshot to the next.
-
-    Attributes:
-        covariance: (n, n) inverse of the PIM, J^-1, over [s; x of the landmarks seen].
-        ids: (L,) the landmarks in it, in the order of their blocks.
-    """
-
-    covariance: FloatArray
-    ids: IntArray
 
 
 class Bounds(NamedTuple):
@@ -50,8 +43,8 @@ class InformationSplit(NamedTuple):
     """Data information with and without the part that Doppler brings, eqs. (22), (23).
 
     Attributes:
-        ue: (4, 4) non-Doppler part of sum A' R^-1 A.
-        ue_doppler: (4, 4) Doppler part.
+        ue: (U, U) non-Doppler part of sum A' R^-1 A.
+        ue_doppler: (U, U) Doppler part.
         landmark: (M, 3, 3) non-Doppler part of B' R^-1 B.
         landmark_doppler: (M, 3, 3) Doppler part.
     """
@@ -64,7 +57,8 @@ class InformationSplit(NamedTuple):
 
 def initial_bound(initial_covariance: FloatArray) -> BoundState:
     """The recursion before the first snapshot: the prior of the vehicle, no landmark."""
-    return BoundState(np.array(initial_covariance), np.zeros(0, dtype=np.int64))
+    none = np.zeros(0, dtype=np.int64)
+    return BoundState(np.array(initial_covariance), none, np.array([len(initial_covariance)]))
 
 
 def predict_bound(
@@ -74,20 +68,29 @@ def predict_bound(
 
     Args:
         state: before.
-        ue: (4,) the true state before, where F is evaluated.
+        ue: (U,) the true state before, where F is evaluated.
         spans: the controls since then.
-        noise_rate: (4,) variance added per second.
+        noise_rate: (U,) variance added per second.
+
+    Raises:
+        ValueError: the shapes do not fit together.
     """
+    vehicle, size = int(state.start[0]), int(state.start[-1])
+    check_shapes(
+        ue=(ue, (vehicle,)),
+        noise_rate=(noise_rate, (vehicle,)),
+        covariance=(state.covariance, (size, size)),
+    )
     rate = floats(noise_rate)
     _, covariance = predict(floats(ue), floats(state.covariance), span_rows(spans), rate)
-    return BoundState(covariance, state.ids)
+    return state._replace(covariance=covariance)
 
 
 def update_bound(
     state: BoundState,
     paths: Paths,
     ids: IntArray,
-    is_bs: BoolArray,
+    types: IntArray,
     weights: FloatArray,
     noise: FloatArray,
     used: BoolArray,
@@ -98,7 +101,7 @@ def update_bound(
         state: predicted.
         paths: h and its Jacobians at the true state, M landmarks.
         ids: (M,) their ids.
-        is_bs: (M,) the landmark is known and has no block in the state.
+        types: (M,) LandmarkType; a BS is known and has no block in the state.
         weights: (M,) share of the information that counts: 1 detected, 0 not, p_D in expectation.
         noise: (6, 6) or (M, 6, 6) covariance R.
         used: (6,) or (M, 6) the components that each path has.
@@ -107,30 +110,36 @@ def update_bound(
         The state with the landmarks newly seen appended.
 
     Raises:
+        ValueError: the shapes do not fit together.
         LinAlgError: R is not positive definite.
     """
-    covariance, known, sound = kernels.update(
-        floats(state.covariance),
-        integers(state.ids),
+    count = len(ids)
+    check_shapes(
+        ue_jacobian=(paths.ue_jacobian, (count, DIM, int(state.start[0]))),
+        types=(types, (count,)),
+        weights=(weights, (count,)),
+    )
+    information = PathInformation(
         floats(paths.ue_jacobian),
         floats(paths.landmark_jacobian),
-        paths.degenerate,
-        integers(ids),
-        is_bs,
-        floats(weights),
+        floats(np.where(paths.degenerate, 0.0, weights)),
         floats(noise).reshape(-1, DIM, DIM),
         used.reshape(-1, DIM),
     )
+    after, sound = kernels.update(_ready(state), information, integers(ids), integers(types))
     if not sound:
         raise np.linalg.LinAlgError("the measurement noise is not positive definite")
-    return BoundState(covariance, known)
+    return after
 
 
 def bounds_of(state: BoundState, ids: IntArray) -> Bounds:
     """PEB, HEB, CEB and, for the landmarks asked for, LEB (below eq. (17))."""
-    leb = np.empty(len(ids))
-    covariance, known = floats(state.covariance), integers(state.ids)
-    return Bounds(*kernels.read_bounds(covariance, known, integers(ids), leb), leb)
+    return Bounds(*kernels.read_bounds(_ready(state), integers(ids)))
+
+
+def _ready(state: BoundState) -> BoundState:
+    """A state of the kind that is compiled."""
+    return BoundState(floats(state.covariance), integers(state.ids), integers(state.start))
 
 
 def information_split(paths: Paths, model: ModelParameters) -> InformationSplit:

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.linalg.small import cholesky, forward_columns
-from dopslam_ros.core.settings.layout import CLOCK_BIAS, HEADING, SPACE, X, Y
+from dopslam_ros.core.settings.layout import (
+    CLOCK_BIAS,
+    HEADING,
+    LANDMARK_SIZES,
+    NONE,
+    SPACE,
+    X,
+    Y,
+)
 
 # Standard deviation of a landmark before its first path [m]: no information, but invertible.
 DIFFUSE_STD = 1e4
@@ -17,101 +26,133 @@ DIFFUSE_STD = 1e4
 UNLOCATED = 0.1 * DIFFUSE_STD
 
 
+class BoundState(NamedTuple):
+    """What the recursion carries from one snapshot to the next.
+
+    Attributes:
+        covariance: (n, n) inverse of the PIM, J^-1, over [s; x of the landmarks seen].
+        ids: (L,) the landmarks in it, in the order of their blocks.
+        start: (L + 1,) where the block of each begins; the vehicle's is before the first one, the
+            last entry is n.
+    """
+
+    covariance: FloatArray
+    ids: IntArray
+    start: IntArray
+
+
+class PathInformation(NamedTuple):
+    """What is known of M paths, of each or of all alike.
+
+    Attributes:
+        ue_jacobian: (M, 6, U) A = dh/ds.
+        landmark_jacobian: (M, 6, 3) B = dh/dx.
+        weight: (M,) share of the information that counts; 0 for what has no path.
+        noise: (1 or M, 6, 6) R.
+        used: (1 or M, 6) components that the paths have.
+    """
+
+    ue_jacobian: FloatArray
+    landmark_jacobian: FloatArray
+    weight: FloatArray
+    noise: FloatArray
+    used: BoolArray
+
+
 @from_python
 def update(
-    covariance: FloatArray,
-    known: IntArray,
-    a: FloatArray,
-    b: FloatArray,
-    degenerate: BoolArray,
-    ids: IntArray,
-    is_bs: BoolArray,
-    weights: FloatArray,
-    noise: FloatArray,
-    used: BoolArray,
-) -> tuple[FloatArray, IntArray, bool]:
-    """``inform`` where landmarks are told by their ids, and those seen first are appended.
+    state: BoundState, paths: PathInformation, ids: IntArray, types: IntArray
+) -> tuple[BoundState, bool]:
+    """J = J_data + J_prior of eq. (17), where landmarks seen first get a block of their own.
 
     Args:
-        covariance: (n, n) P, the vehicle first.
-        known: (L,) ids of the landmarks in it, in the order of their blocks.
-        a: (M, 6, U) Jacobians by the vehicle.
-        b: (M, 6, 3) by the landmarks.
-        degenerate: (M,) paths without an answer, which bring nothing.
+        state: predicted.
+        paths: one of each landmark.
         ids: (M,) of the landmarks.
-        is_bs: (M,) the landmark has no block.
-        weights: (M,) share of the information that counts.
-        noise: (1 or M, 6, 6) R, of all or of each.
-        used: (1 or M, 6) components, of all or of each.
+        types: (M,) LandmarkType, which says how large their blocks are; a BS has none.
 
     Returns:
-        Covariance and ids after it, and whether what was to be inverted was positive definite.
+        The state after it, and whether what was to be inverted was positive definite.
     """
-    count, filled, vehicle, size = len(ids), len(known), a.shape[2], b.shape[2]
-    blocks = np.empty(filled + count, np.int64)
-    blocks[:filled] = known
-    counted, start = np.zeros(count), np.full(count, -1)
-    for m in range(count):
-        if degenerate[m] or not weights[m] > 0.0:
+    if not (paths.weight > 0.0).any():
+        return state, True
+    grown, block = with_blocks(state, paths.weight, ids, types)
+    covariance, sound = add_information(grown.covariance, paths, block)
+    return BoundState(covariance, grown.ids, grown.start), sound
+
+
+@jit
+def with_blocks(
+    state: BoundState, weight: FloatArray, ids: IntArray, types: IntArray
+) -> tuple[BoundState, IntArray]:
+    """With a diffuse block for each landmark that is seen for the first time.
+
+    Args:
+        state: before.
+        weight: (M,) 0 for landmarks that are not seen.
+        ids: (M,) of the landmarks.
+        types: (M,) LandmarkType.
+
+    Returns:
+        The state, and (M,) the index at which the block of each landmark begins; NONE without one.
+    """
+    known, most = len(state.ids), len(state.ids) + len(ids)
+    all_ids, start = np.empty(most, np.int64), np.empty(most + 1, np.int64)
+    for k in range(known):
+        all_ids[k] = state.ids[k]
+    for k in range(known + 1):
+        start[k] = state.start[k]
+    block = np.full(len(ids), NONE)
+    for m in range(len(ids)):
+        size = LANDMARK_SIZES[types[m]]
+        if not weight[m] > 0.0 or size == 0:
             continue
-        counted[m] = weights[m]
-        if not is_bs[m]:
-            place = place_of(blocks, filled, ids[m])
-            if place == filled:
-                blocks[filled] = ids[m]
-                filled += 1
-            start[m] = vehicle + size * place
-    if not counted.any():
-        return covariance, known, True
-    old = len(covariance)
-    grown = np.zeros((vehicle + size * filled, vehicle + size * filled))
-    grown[:old, :old] = covariance
-    for i in range(old, len(grown)):
-        grown[i, i] = DIFFUSE_STD**2
-    after, sound = inform(grown, a, b, used, noise, counted, start)
-    return after, blocks[:filled].copy(), sound
+        k = index_of(all_ids, known, ids[m])
+        if k == known:
+            all_ids[k], start[k + 1] = ids[m], start[k] + size
+            known += 1
+        block[m] = start[k]
+    old, total = len(state.covariance), start[known]
+    covariance = np.zeros((total, total))
+    covariance[:old, :old] = state.covariance
+    for i in range(old, total):
+        covariance[i, i] = DIFFUSE_STD**2
+    return BoundState(covariance, all_ids[:known].copy(), start[: known + 1].copy()), block
 
 
 @from_python
-def read_bounds(
-    covariance: FloatArray, known: IntArray, ids: IntArray, leb: FloatArray
-) -> tuple[float, float, float]:
-    """PEB, HEB and CEB of a covariance (n, n); writes LEB of landmarks (M,) into leb (M,).
+def read_bounds(state: BoundState, ids: IntArray) -> tuple[float, float, float, FloatArray]:
+    """PEB, HEB, CEB, and (M,) LEB of landmarks (M,).
 
-    Infinity for one that is not among those known (L,), or is not located.
+    Infinity for one that is not among those seen, or is not located.
     """
-    vehicle = len(covariance) - SPACE * len(known)
+    covariance, leb = state.covariance, np.full(len(ids), math.inf)
     for m in range(len(ids)):
-        place, leb[m] = place_of(known, len(known), ids[m]), math.inf
-        if place < len(known):
-            at = vehicle + SPACE * place
-            variance = covariance[at, at] + covariance[at + 1, at + 1]
-            bound = math.sqrt(variance + covariance[at + 2, at + 2])
+        k = index_of(state.ids, len(state.ids), ids[m])
+        if k < len(state.ids):
+            variance, first = 0.0, state.start[k]
+            for i in range(first, first + SPACE):
+                variance += covariance[i, i]
+            bound = math.sqrt(variance)
             if bound < UNLOCATED:
                 leb[m] = bound
     peb = math.sqrt(covariance[X, X] + covariance[Y, Y])
     heb, ceb = covariance[HEADING, HEADING], covariance[CLOCK_BIAS, CLOCK_BIAS]
-    return peb, math.sqrt(heb), math.sqrt(ceb)
+    return peb, math.sqrt(heb), math.sqrt(ceb), leb
 
 
 @jit
-def place_of(ids: IntArray, count: int, wanted: int) -> int:
+def index_of(ids: IntArray, count: int, wanted: int) -> int:
     """Where an id is among the first of ids; count if it is not."""
-    for place in range(count):
-        if ids[place] == wanted:
-            return place
+    for k in range(count):
+        if ids[k] == wanted:
+            return k
     return count
 
 
 @jit
-def inform(
-    covariance: FloatArray,
-    a: FloatArray,
-    b: FloatArray,
-    used: BoolArray,
-    noise: FloatArray,
-    weights: FloatArray,
-    start: IntArray,
+def add_information(
+    covariance: FloatArray, paths: PathInformation, block: IntArray
 ) -> tuple[FloatArray, bool]:
     """(P^-1 + sum of w H' R^-1 H over the paths)^-1, so that nothing tiny is inverted.
 
@@ -120,12 +161,8 @@ def inform(
 
     Args:
         covariance: (n, n) P, the vehicle first.
-        a: (M, 6, U) Jacobians by the vehicle.
-        b: (M, 6, 3) by the landmarks.
-        used: (1 or M, 6) components that the paths have.
-        noise: (1 or M, 6, 6) R.
-        weights: (M,) w; a path whose weight is zero brings nothing.
-        start: (M,) index of the landmark's block, -1 for one that has none.
+        paths: with H = [A ... B ...].
+        block: (M,) index of the landmark's block, NONE for one that has none.
 
     Returns:
         (n, n), and whether P and every R over what was measured were positive definite.
@@ -133,11 +170,10 @@ def inform(
     n = len(covariance)
     root = covariance.copy()
     sound = factorise(root)
-    inner = np.eye(n)
-    rows = np.empty((a.shape[1], n))
-    for m in range(len(weights)):
-        if weights[m] > 0.0:
-            sound = whiten(m, a, b, used, noise, weights[m], start[m], root, rows) and sound
+    inner, rows = np.eye(n), np.empty((paths.ue_jacobian.shape[1], n))
+    for m in range(len(block)):
+        if paths.weight[m] > 0.0:
+            sound = whiten(paths, m, block[m], root, rows) and sound
             add_products(rows, n, inner)
     sound = factorise(inner) and sound
     # X = C^-1 L', of which only the upper triangle is not zero.
@@ -145,14 +181,7 @@ def inform(
     for i in range(n):
         for j in range(n):
             x[i, j] = root[j, i] if j >= i else 0.0
-    for i in range(n):
-        for k in range(i):
-            factor = inner[i, k]
-            for j in range(n):
-                x[i, j] -= factor * x[k, j]
-        scale = 1.0 / inner[i, i]
-        for j in range(n):
-            x[i, j] *= scale
+    forward_columns(inner, x, n)
     after = np.zeros((n, n))
     add_products(x, n, after)
     for i in range(n):
@@ -162,46 +191,55 @@ def inform(
 
 
 @jit
-def whiten(
-    m: int,
-    a: FloatArray,
-    b: FloatArray,
-    used: BoolArray,
-    noise: FloatArray,
-    weight: float,
-    start: int,
-    root: FloatArray,
-    rows: FloatArray,
-) -> bool:
+def whiten(paths: PathInformation, m: int, block: int, root: FloatArray, rows: FloatArray) -> bool:
     """Writes sqrt(w) R^-1/2 H L of path m into rows (6, n), zero where it has no component.
 
     H is the block row [A ... B ...] of eq. (18).
+
+    Args:
+        paths: with A, B, R and w.
+        m: the path.
+        block: index of its landmark's block, NONE without one.
+        root: (n, n) L, lower triangular.
+        rows: result.
+
+    Returns:
+        Whether R over what was measured is positive definite.
     """
     dim, n = rows.shape
+    mask, r, scale = m % len(paths.used), m % len(paths.noise), math.sqrt(paths.weight[m])
     factor = np.empty((dim, dim))
-    mask, r, scale = m % len(used), m % len(noise), math.sqrt(weight)
     for k in range(dim):
         for j in range(n):
             rows[k, j] = 0.0
         for i in range(k + 1):
             factor[k, i] = 1.0 if i == k else 0.0
-            if used[mask, k] and used[mask, i]:
-                factor[k, i] = noise[r, k, i]
-        if not used[mask, k]:
-            continue
-        for i in range(a.shape[2]):
-            # L is lower triangular.
-            by = scale * a[m, k, i]
-            for j in range(i + 1):
-                rows[k, j] += by * root[i, j]
-        if start >= 0:
-            for i in range(b.shape[2]):
-                by = scale * b[m, k, i]
-                for j in range(start + i + 1):
-                    rows[k, j] += by * root[start + i, j]
-    sound = cholesky(factor, len(factor))
-    forward_columns(factor, rows, len(factor))
+            if paths.used[mask, k] and paths.used[mask, i]:
+                factor[k, i] = paths.noise[r, k, i]
+        if paths.used[mask, k]:
+            add_rows(paths.ue_jacobian, m, k, scale, 0, root, rows)
+            if block != NONE:
+                add_rows(paths.landmark_jacobian, m, k, scale, block, root, rows)
+    sound = cholesky(factor, dim)
+    forward_columns(factor, rows, dim)
     return sound
+
+
+@jit
+def add_rows(
+    jacobian: FloatArray,
+    m: int,
+    k: int,
+    scale: float,
+    first: int,
+    root: FloatArray,
+    rows: FloatArray,
+) -> None:
+    """Adds to row k a multiple of row k of Jacobian m (M, 6, b) times rows first ... of L."""
+    for i in range(jacobian.shape[2]):
+        factor = scale * jacobian[m, k, i]
+        for j in range(first + i + 1):  # L is lower triangular
+            rows[k, j] += factor * root[first + i, j]
 
 
 @jit

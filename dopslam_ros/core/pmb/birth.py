@@ -22,10 +22,10 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import jit, jit_inline
 from dopslam_ros.core.linalg.small import cholesky, solve_bordered
-from dopslam_ros.core.linalg.vec import Vec, between, unit, vec
-from dopslam_ros.core.models.channel_kernels import observe_source
-from dopslam_ros.core.models.detection_kernels import detection_probability, distance_between
-from dopslam_ros.core.models.incidence import incidence_points, to_virtual_anchor
+from dopslam_ros.core.linalg.vec import Vec, between, distance_between, unit, vec, write
+from dopslam_ros.core.models.channel_kernels import Vehicle, observe_source, vehicle_of
+from dopslam_ros.core.models.detection import detection_probability
+from dopslam_ros.core.models.incidence import measured_incidence_points, virtual_anchor_of
 from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.position_fit import (
@@ -37,9 +37,9 @@ from dopslam_ros.core.pmb.position_fit import (
     new_fit,
     position_posterior,
 )
-from dopslam_ros.core.pmb.undetected_kernels import log_share_left
+from dopslam_ros.core.pmb.undetected import log_share_left
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import SPACE, UNKNOWN_TYPES, VA, X, Y
+from dopslam_ros.core.settings.layout import SPACE, UNKNOWN_TYPES, VA
 
 GAUSS_NEWTON_STEPS = 6
 # A step of less than this many standard deviations changes nothing any more.
@@ -60,73 +60,62 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
         speed: v at the snapshot [m/s].
         constants: intensities and the height prior.
     """
-    ue, vehicle, paths = density.mean, density.start[0], len(observed.values)
-    incidence, located = np.empty((paths, SPACE)), np.empty(paths, np.bool_)
-    incidence_points(
-        ue,
-        constants.ue_height,
-        constants.bs,
-        constants.landmark_height_mean,
-        observed.values,
-        incidence,
-        located,
+    vehicle, bs = vehicle_of(density.mean, constants.ue_height, speed), vec(constants.bs)
+    incidence, located = measured_incidence_points(
+        vehicle, bs, constants.landmark_height_mean, observed.values
     )
-    births, fit = no_births(paths, vehicle), new_fit(vehicle)
+    paths, size = len(observed.values), density.start[0]
+    births, fit = no_births(paths, size), new_fit(size)
     for t in range(len(UNKNOWN_TYPES)):
         kind = UNKNOWN_TYPES[t]
         for j in range(paths):
             position, covariance = births.position[t, j], births.covariance[t, j]
-            for i in range(SPACE):
-                position[i] = incidence[j, i]
+            start = vec(incidence[j])
+            if kind == VA and located[j]:
+                start = virtual_anchor_of(vehicle.position, bs, start)
+            write(start, position)
             if not located[j]:
                 continue
-            if kind == VA:
-                to_virtual_anchor(ue, constants.ue_height, constants.bs, position)
-            if not fit_position(density, observed, j, speed, constants, kind, position, fit):
+            if not fit_position(density, vehicle, observed, j, constants, kind, position, fit):
                 continue
             if not position_posterior(fit, covariance, births.gain[t, j]):
                 continue
-            std = distance_std(ue, constants.ue_height, position, covariance)
             births.log_intensity[t, j] = laplace(fit, observed.used[j]) + log_undetected(
-                density, position, kind, std, constants
+                density, vehicle.position, vec(position), kind, covariance, constants
             )
     return births
 
 
 @jit_inline
 def log_undetected(
-    density: Density, position: FloatArray, kind: int, distance_std: float, constants: Constants
+    density: Density,
+    vehicle: Vec,
+    position: Vec,
+    kind: int,
+    covariance: FloatArray,
+    constants: Constants,
 ) -> float:
-    """ln (lambda p_D) of a landmark of a type at a position (3,) [m], its distance being uncertain.
+    """ln (lambda p_D) of a landmark of a type at a position [m] with covariance (3, 3).
 
     lambda is the intensity of landmarks that were never detected: what looking there before has
     left of it.
     """
-    distance = distance_between(density.mean[X], density.mean[Y], constants.ue_height, position)
+    distance, std = distance_between(vehicle, position), distance_std(vehicle, position, covariance)
     seen = detection_probability(
-        kind, distance, distance_std, constants.detection_probability, constants.sp_field_of_view
+        kind, distance, std, constants.detection_probability, constants.sp_field_of_view
     )
     if not seen > 0.0:
         return -math.inf
-    share = log_share_left(
-        density.undetected,
-        constants.ue_height,
-        position,
-        kind,
-        distance_std,
-        constants.detection_probability,
-        constants.sp_field_of_view,
-        constants.undetected_floor,
-    )
+    share = log_share_left(density.undetected, position, kind, std, constants)
     return constants.log_undetected_intensity + share + math.log(seen)
 
 
 @jit_inline
 def fit_position(
     density: Density,
+    vehicle: Vehicle,
     observed: Observed,
     j: int,
-    speed: float,
     constants: Constants,
     kind: int,
     position: FloatArray,
@@ -139,18 +128,9 @@ def fit_position(
     Returns:
         Whether there may be such a landmark; if so, ``fit`` is that at its position.
     """
+    bs = vec(constants.bs)
     for step in range(GAUSS_NEWTON_STEPS + 1):
-        _, facing = observe_source(
-            density.mean,
-            speed,
-            constants.bs,
-            constants.ue_height,
-            position,
-            kind,
-            fit.h,
-            fit.a,
-            fit.b,
-        )
+        _, facing = observe_source(vehicle, bs, vec(position), kind, fit.h, fit.a, fit.b)
         if not linearise(density.covariance, observed, j, fit):
             return False
         height_mean, height_std = constants.landmark_height_mean, constants.landmark_height_std
@@ -173,11 +153,9 @@ def fit_position(
 
 
 @jit
-def distance_std(
-    ue: FloatArray, ue_height: float, position: FloatArray, covariance: FloatArray
-) -> float:
-    """Standard deviation [m] of the distance to a position (3,) with covariance (3, 3)."""
-    _, (x, y, z) = unit(between(Vec(ue[X], ue[Y], ue_height), vec(position)))
+def distance_std(vehicle: Vec, position: Vec, covariance: FloatArray) -> float:
+    """Standard deviation [m] of the distance to a position with covariance (3, 3)."""
+    _, (x, y, z) = unit(between(vehicle, position))
     variance = x * x * covariance[0, 0] + y * y * covariance[1, 1] + z * z * covariance[2, 2]
     cross = x * y * covariance[0, 1] + x * z * covariance[0, 2] + y * z * covariance[1, 2]
     return math.sqrt(max(variance + 2.0 * cross, 0.0))

@@ -11,53 +11,63 @@ no singular direction and need no wrapping.
 
 from __future__ import annotations
 
-import numpy as np
-
 from dopslam_ros.core.linalg.arrays import FloatArray, check_shapes, floats
 from dopslam_ros.core.pmb import coordinates_kernels as kernels
+from dopslam_ros.core.settings.layout import SPACE
 
 
-def frames(offset: FloatArray) -> FloatArray:
+def frames(displacement: FloatArray) -> FloatArray:
     """Axes of new landmarks.
 
     Args:
-        offset: (M, 3) from the origin to each landmark; one that is zero counts as along x.
+        displacement: (M, 3) from the origin to each landmark [m]; zero counts as along x.
 
     Returns:
-        (M, 3, 3) rotations; their first columns point along ``offset``.
+        (M, 3, 3) rotations; their first columns point along ``displacement``.
+
+    Raises:
+        ValueError: it has another shape.
     """
-    axes = np.empty((len(offset), 3, 3))
-    check_shapes(offset=(offset, (len(axes), 3)))
-    kernels.frames(floats(offset), axes)
-    return axes
+    check_shapes(displacement=(displacement, (len(displacement), SPACE)))
+    return kernels.frames(floats(displacement))
 
 
 def positions(origin: FloatArray, axes: FloatArray, q: FloatArray) -> FloatArray:
-    """(M, 3) positions [m] of landmarks q (M, 3) with origins (M, 3) and axes (M, 3, 3)."""
-    position = _like_frames(origin, axes, q)
-    kernels.positions(floats(origin), floats(axes), floats(q), position)
-    return position
+    """(M, 3) positions [m] of landmarks q (M, 3) with origins (M, 3) and axes (M, 3, 3).
+
+    Raises:
+        ValueError: the shapes do not fit together.
+    """
+    count = len(q)
+    _check(count, axes, q)
+    check_shapes(origin=(origin, (count, SPACE)))
+    return kernels.positions(floats(origin), floats(axes), floats(q))
 
 
-def placements(origin: FloatArray, axes: FloatArray, position: FloatArray) -> FloatArray:
-    """(M, 3) q of positions (M, 3) in front of the frames; the inverse of ``positions``."""
-    q = _like_frames(origin, axes, position)
-    kernels.placements(floats(origin), floats(axes), floats(position), q)
-    return q
+def local_coordinates(origin: FloatArray, axes: FloatArray, position: FloatArray) -> FloatArray:
+    """(M, 3) q of positions (M, 3) in front of the frames; the inverse of ``positions``.
+
+    Raises:
+        ValueError: the shapes do not fit together.
+    """
+    count = len(position)
+    check_shapes(
+        origin=(origin, (count, SPACE)),
+        axes=(axes, (count, SPACE, SPACE)),
+        position=(position, (count, SPACE)),
+    )
+    return kernels.local_coordinates(floats(origin), floats(axes), floats(position))
 
 
 def jacobians(axes: FloatArray, q: FloatArray) -> FloatArray:
-    """(M, 3, 3) derivatives of the positions with respect to q."""
-    jacobian = np.empty((len(q), 3, 3))
-    check_shapes(axes=(axes, jacobian.shape), q=(q, (len(q), 3)))
-    kernels.jacobians(floats(axes), floats(q), jacobian)
-    return jacobian
+    """(M, 3, 3) derivatives of the positions with respect to q.
+
+    Raises:
+        ValueError: the shapes do not fit together.
+    """
+    _check(len(q), axes, q)
+    return kernels.jacobians(floats(axes), floats(q))
 
 
-def _like_frames(origin: FloatArray, axes: FloatArray, places: FloatArray) -> FloatArray:
-    """Room for (M, 3), the M frames and places being as many."""
-    count = len(places)
-    check_shapes(
-        origin=(origin, (count, 3)), axes=(axes, (count, 3, 3)), places=(places, (count, 3))
-    )
-    return np.empty((count, 3))
+def _check(count: int, axes: FloatArray, q: FloatArray) -> None:
+    check_shapes(axes=(axes, (count, SPACE, SPACE)), q=(q, (count, SPACE)))

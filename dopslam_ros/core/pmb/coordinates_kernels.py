@@ -1,4 +1,4 @@
-"""Landmarks as range and direction in frames of their own; see ``filter.placement``."""
+"""Landmarks as range and direction in frames of their own; see ``coordinates``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,16 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit
-from dopslam_ros.core.linalg.vec import SMALLEST_DISTANCE, Vec, cross, unit, vec
+from dopslam_ros.core.linalg.vec import (
+    SMALLEST_DISTANCE,
+    Vec,
+    between,
+    cross,
+    moved,
+    unit,
+    vec,
+    write_row,
+)
 from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.settings.layout import SPACE
 
@@ -17,73 +26,90 @@ UPRIGHT = 0.9
 
 
 @from_python
-def frames(offset: FloatArray, axes: FloatArray) -> None:
-    """Axes (M, 3, 3) whose first columns point along offsets (M, 3), or along x for no offset."""
-    for m in range(len(offset)):
-        _, u = unit(vec(offset[m]))
-        if abs(u.z) > UPRIGHT:  # x cross first
-            _, v = unit(Vec(0.0, -u.z, u.y))
-        else:  # z cross first
-            _, v = unit(Vec(-u.y, u.x, 0.0))
-        w = cross(u, v)
-        for i in range(SPACE):
-            axes[m, i, 0], axes[m, i, 1], axes[m, i, 2] = u[i], v[i], w[i]
+def frames(displacement: FloatArray) -> FloatArray:
+    """Axes (M, 3, 3) whose first columns point along displacements (M, 3); along x for none."""
+    axes = np.empty((len(displacement), SPACE, SPACE))
+    for m in range(len(displacement)):
+        frame_along(vec(displacement[m]), axes[m])
+    return axes
 
 
 @jit
-def place(origin: FloatArray, axes: FloatArray, q: FloatArray, position: FloatArray) -> None:
-    """Writes the position (3,) of the landmark q (3,) in the frame origin (3,), axes (3, 3)."""
-    reach = q[0] / math.sqrt(1.0 + q[1] * q[1] + q[2] * q[2])
+def frame_along(displacement: Vec, axes: FloatArray) -> None:
+    """Writes axes (3, 3), in columns, of which the first points along a displacement."""
+    _, u = unit(displacement)
+    if abs(u.z) > UPRIGHT:  # x cross first
+        _, v = unit(Vec(0.0, -u.z, u.y))
+    else:  # z cross first
+        _, v = unit(Vec(-u.y, u.x, 0.0))
+    w = cross(u, v)
     for i in range(SPACE):
-        position[i] = origin[i] + reach * (axes[i, 0] + axes[i, 1] * q[1] + axes[i, 2] * q[2])
+        axes[i, 0], axes[i, 1], axes[i, 2] = u[i], v[i], w[i]
+
+
+@jit
+def ray_of(axes: FloatArray, q: FloatArray) -> tuple[float, Vec]:
+    """Length of the vector along which a landmark q (3,) is, a_1 + q_2 a_2 + q_3 a_3, then it."""
+    return math.sqrt(1.0 + q[1] * q[1] + q[2] * q[2]), Vec(
+        axes[0, 0] + axes[0, 1] * q[1] + axes[0, 2] * q[2],
+        axes[1, 0] + axes[1, 1] * q[1] + axes[1, 2] * q[2],
+        axes[2, 0] + axes[2, 1] * q[1] + axes[2, 2] * q[2],
+    )
+
+
+@jit
+def position_of(origin: FloatArray, axes: FloatArray, q: FloatArray) -> Vec:
+    """Position of the landmark q (3,) in the frame with origin (3,) [m] and axes (3, 3)."""
+    length, ray = ray_of(axes, q)
+    return moved(vec(origin), q[0] / length, ray)
+
+
+@jit
+def position_jacobian(axes: FloatArray, q: FloatArray, jacobian: FloatArray) -> None:
+    """Writes the derivative (3, 3) of the position of q (3,) by q, in a frame with axes (3, 3)."""
+    length, ray = ray_of(axes, q)
+    scale = q[0] / length
+    for i in range(SPACE):
+        along = ray[i] / length
+        jacobian[i, 0] = along
+        jacobian[i, 1] = scale * (axes[i, 1] - along * (q[1] / length))
+        jacobian[i, 2] = scale * (axes[i, 2] - along * (q[2] / length))
 
 
 @from_python
-def positions(origin: FloatArray, axes: FloatArray, q: FloatArray, position: FloatArray) -> None:
-    """``place`` for M landmarks: (M, 3), (M, 3, 3), (M, 3); position (M, 3) is written."""
+def positions(origin: FloatArray, axes: FloatArray, q: FloatArray) -> FloatArray:
+    """``position_of`` M landmarks: origin (M, 3), axes (M, 3, 3), q (M, 3)."""
+    position = np.empty((len(q), SPACE))
     for m in range(len(q)):
-        place(origin[m], axes[m], q[m], position[m])
+        write_row(position_of(origin[m], axes[m], q[m]), position, m)
+    return position
 
 
 @from_python
-def placements(origin: FloatArray, axes: FloatArray, position: FloatArray, q: FloatArray) -> None:
-    """Writes q (M, 3) of positions (M, 3): the inverse of ``positions``.
+def jacobians(axes: FloatArray, q: FloatArray) -> FloatArray:
+    """``position_jacobian`` of M landmarks, (M, 3, 3): axes (M, 3, 3), q (M, 3)."""
+    jacobian = np.empty((len(q), SPACE, SPACE))
+    for m in range(len(q)):
+        position_jacobian(axes[m], q[m], jacobian[m])
+    return jacobian
+
+
+@from_python
+def local_coordinates(origin: FloatArray, axes: FloatArray, position: FloatArray) -> FloatArray:
+    """q (M, 3) of positions (M, 3): the inverse of ``positions``.
 
     A position that is not in front of its frame has no tangents; they are finite all the same.
     """
+    q = np.empty((len(position), SPACE))
     for m in range(len(position)):
-        dx, dy, dz = (
-            position[m, 0] - origin[m, 0],
-            position[m, 1] - origin[m, 1],
-            position[m, 2] - origin[m, 2],
-        )
-        own = axes[m]
-        ahead = own[0, 0] * dx + own[1, 0] * dy + own[2, 0] * dz
+        d, own = between(vec(origin[m]), vec(position[m])), axes[m]
+        ahead = own[0, 0] * d.x + own[1, 0] * d.y + own[2, 0] * d.z
         if abs(ahead) < SMALLEST_DISTANCE:
             ahead = SMALLEST_DISTANCE
-        q[m, 0] = math.sqrt(dx * dx + dy * dy + dz * dz)
-        q[m, 1] = (own[0, 1] * dx + own[1, 1] * dy + own[2, 1] * dz) / ahead
-        q[m, 2] = (own[0, 2] * dx + own[1, 2] * dy + own[2, 2] * dz) / ahead
-
-
-@jit
-def place_jacobian(axes: FloatArray, q: FloatArray, jacobian: FloatArray) -> None:
-    """Writes the derivative (3, 3) of the position of q (3,) by q, in a frame with axes (3, 3)."""
-    length = math.sqrt(1.0 + q[1] * q[1] + q[2] * q[2])
-    reach = q[0] / length
-    r1, r2 = q[1] / length, q[2] / length
-    for i in range(SPACE):
-        along = (axes[i, 0] + axes[i, 1] * q[1] + axes[i, 2] * q[2]) / length
-        jacobian[i, 0] = along
-        jacobian[i, 1] = reach * (axes[i, 1] - along * r1)
-        jacobian[i, 2] = reach * (axes[i, 2] - along * r2)
-
-
-@from_python
-def jacobians(axes: FloatArray, q: FloatArray, jacobian: FloatArray) -> None:
-    """``place_jacobian`` for M landmarks: (M, 3, 3), (M, 3); jacobian (M, 3, 3) is written."""
-    for m in range(len(q)):
-        place_jacobian(axes[m], q[m], jacobian[m])
+        q[m, 0] = math.sqrt(d.x * d.x + d.y * d.y + d.z * d.z)
+        q[m, 1] = (own[0, 1] * d.x + own[1, 1] * d.y + own[2, 1] * d.z) / ahead
+        q[m, 2] = (own[0, 2] * d.x + own[1, 2] * d.y + own[2, 2] * d.z) / ahead
+    return q
 
 
 @from_python
@@ -101,37 +127,40 @@ def in_space(
     Returns:
         (M, 3) positions [m] and (M, 3, 3) their covariances [m^2].
     """
-    position, spread, jacobian = np.empty_like(q), np.empty_like(covariance), np.empty((3, 3))
+    position, result = np.empty((len(q), SPACE)), np.empty((len(q), SPACE, SPACE))
+    jacobian = np.empty((SPACE, SPACE))
     for m in range(len(q)):
-        place(origin[m], axes[m], q[m], position[m])
-        place_jacobian(axes[m], q[m], jacobian)
-        transform(jacobian, covariance[m], 0, spread[m])
-    return position, spread
+        write_row(position_of(origin[m], axes[m], q[m]), position, m)
+        position_jacobian(axes[m], q[m], jacobian)
+        block_congruence(jacobian, covariance[m], 0, result[m])
+    return position, result
 
 
 @from_python
 def components_in_space(density: Density) -> tuple[FloatArray, FloatArray]:
     """``in_space`` for the C components of a density."""
     count = len(density.component_track)
-    position, spread = np.empty((count, 3)), np.empty((count, 3, 3))
-    jacobian = np.empty((3, 3))
+    position, result = np.empty((count, SPACE)), np.empty((count, SPACE, SPACE))
+    jacobian = np.empty((SPACE, SPACE))
     for c in range(count):
-        at = density.start[c]
-        q = density.mean[at : density.start[c + 1]]
-        place(density.origin[c], density.axes[c], q, position[c])
-        place_jacobian(density.axes[c], q, jacobian)
-        transform(jacobian, density.covariance, at, spread[c])
-    return position, spread
+        first, axes = density.start[c], density.axes[c]
+        q = density.mean[first : density.start[c + 1]]
+        write_row(position_of(density.origin[c], axes, q), position, c)
+        position_jacobian(axes, q, jacobian)
+        block_congruence(jacobian, density.covariance, first, result[c])
+    return position, result
 
 
 @jit
-def transform(jacobian: FloatArray, covariance: FloatArray, at: int, spread: FloatArray) -> None:
-    """Writes J P J' into spread (3, 3), P the block of a covariance that begins at an index."""
+def block_congruence(
+    jacobian: FloatArray, covariance: FloatArray, first: int, result: FloatArray
+) -> None:
+    """Writes J P J' (3, 3), P the block (3, 3) of a covariance that begins at an index."""
     for i in range(SPACE):
         for j in range(i + 1):
             total = 0.0
             for k in range(SPACE):
                 for m in range(SPACE):
-                    total += jacobian[i, k] * covariance[at + k, at + m] * jacobian[j, m]
-            spread[i, j] = total
-            spread[j, i] = total
+                    total += jacobian[i, k] * covariance[first + k, first + m] * jacobian[j, m]
+            result[i, j] = total
+            result[j, i] = total

@@ -30,9 +30,9 @@ class Regressions(NamedTuple):
 
     Attributes:
         anchors: (N, A) track ids of the anchors, 0 where a place is not used.
-        anchor_q: (N, 3 A) placements of the anchors then.
+        anchor_q: (N, 3 A) local coordinates of the anchors then.
         gain: (N, 3, 3 A) dq / d anchor_q.
-        q: (N, 3) placements then.
+        q: (N, 3) local coordinates then.
         covariance: (N, 3, 3) of q then.
         residual: (N, 3, 3) covariance of q given the anchors.
     """

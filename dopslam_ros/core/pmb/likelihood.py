@@ -10,10 +10,10 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
 from dopslam_ros.core.linalg.small import cholesky, forward, log_determinant, used_places
-from dopslam_ros.core.linalg.vec import Vec, between, unit, vec
-from dopslam_ros.core.models.channel_kernels import observe_source, wrapped
-from dopslam_ros.core.models.detection_kernels import detection_probability
-from dopslam_ros.core.pmb.coordinates_kernels import place, place_jacobian
+from dopslam_ros.core.linalg.vec import between, unit, vec
+from dopslam_ros.core.models.channel_kernels import observe_source, vehicle_of, wrapped
+from dopslam_ros.core.models.detection import detection_probability
+from dopslam_ros.core.pmb.coordinates_kernels import position_jacobian, position_of
 from dopslam_ros.core.pmb.density import Density, block_of
 from dopslam_ros.core.settings.filtering import Constants
 from dopslam_ros.core.settings.layout import (
@@ -162,33 +162,26 @@ def expect_sources(
         likelihoods: result: Jacobians and p_D.
         expected: result.
     """
-    mean, vehicle, bs = density.mean, density.start[0], constants.bs
+    mean, bs = density.mean, vec(constants.bs)
+    vehicle = vehicle_of(mean, constants.ue_height, speed)
     a, b, detection = (
         likelihoods.ue_jacobian,
         likelihoods.landmark_jacobian,
         likelihoods.detection,
     )
-    position = bs.copy()
+    position = bs
     to_position, by_position = np.zeros((SPACE, b.shape[2])), np.empty((DIM, SPACE))
-    by_vehicle, by_landmark = np.zeros((1, 1, vehicle)), np.zeros((1, 1, b.shape[2]))
+    by_vehicle, by_landmark = np.zeros((1, 1, a.shape[2])), np.zeros((1, 1, b.shape[2]))
     variance = np.empty((1, 1))
     for m in range(len(density.start)):
         kind = BS
         if m > 0:
             kind = density.component_type[m - 1]
             q = mean[density.start[m - 1] : density.start[m]]
-            place(density.origin[m - 1], density.axes[m - 1], q, position)
-            place_jacobian(density.axes[m - 1], q, to_position)
+            position = position_of(density.origin[m - 1], density.axes[m - 1], q)
+            position_jacobian(density.axes[m - 1], q, to_position)
         expected.degenerate[m], _ = observe_source(
-            mean[:vehicle],
-            speed,
-            bs,
-            constants.ue_height,
-            position,
-            kind,
-            expected.h[m],
-            a[m],
-            by_position,
+            vehicle, bs, position, kind, expected.h[m], a[m], by_position
         )
         for k in range(DIM):
             for j in range(b.shape[2]):
@@ -199,7 +192,7 @@ def expect_sources(
         if expected.degenerate[m]:
             detection[m] = 0.0
             continue
-        distance, u = unit(between(Vec(mean[X], mean[Y], constants.ue_height), vec(position)))
+        distance, u = unit(between(vehicle.position, position))
         by_vehicle[0, 0, X], by_vehicle[0, 0, Y] = -u.x, -u.y
         for j in range(b.shape[2]):
             by_landmark[0, 0, j] = (

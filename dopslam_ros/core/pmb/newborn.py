@@ -18,8 +18,9 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import jit, jit_inline
+from dopslam_ros.core.linalg.vec import vec
 from dopslam_ros.core.pmb.birth import Births
-from dopslam_ros.core.pmb.coordinates_kernels import frames
+from dopslam_ros.core.pmb.coordinates_kernels import frame_along
 from dopslam_ros.core.pmb.density import Density, block_starts
 from dopslam_ros.core.pmb.hypotheses import Hypotheses
 from dopslam_ros.core.settings.filtering import Constants
@@ -92,8 +93,8 @@ def augment(
         weight[at] = share[birth]
         for i in range(SPACE):
             displacement[birth, i] = births.position[kind[birth], path[birth], i] - origin[at, i]
+        frame_along(vec(displacement[birth]), axes[at])
     own_axes = axes[components:]
-    frames(displacement, own_axes)
     start = block_starts(density.start[0], types)
     mean, covariance = appended_gaussian(density, births, path, kind, displacement, own_axes, start)
     augmented = Density(

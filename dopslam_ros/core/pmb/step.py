@@ -9,7 +9,7 @@ import numpy as np
 
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan, span_rows
-from dopslam_ros.core.models.motion_kernels import predict as predict_arrays
+from dopslam_ros.core.models.motion import predict as predict_arrays
 from dopslam_ros.core.pmb.inactive import deactivate, reactivate
 from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.localisation import localise

@@ -17,7 +17,7 @@ from dopslam_ros.core.pmb.inactive_kernels import some_left_behind
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed, local_likelihoods
 from dopslam_ros.core.pmb.merge import Conditioned, existence_and_types, merge
 from dopslam_ros.core.pmb.newborn import Newborn, augment, newborn
-from dopslam_ros.core.pmb.undetected_kernels import looked_from
+from dopslam_ros.core.pmb.undetected import looked_from
 from dopslam_ros.core.pmb.update import Linearised, condition
 from dopslam_ros.core.settings.filtering import Constants
 from dopslam_ros.core.settings.layout import HEADING, NONE, X, Y

@@ -116,7 +116,7 @@ class BoundsSession:
         paths = observe(world.ue, speed, positions, types, model.bs, model.ue_height)
         weights = self._weights(world, positions, types, paths)
         self._states = [
-            self._updated(state, variant, timed, paths, ids, weights)
+            self._updated(state, variant, timed, paths, ids, types, weights)
             for state, variant in zip(self._states, self._models, strict=True)
         ]
         self._ue = world.ue
@@ -141,6 +141,7 @@ class BoundsSession:
         timed: Timed[WorldState],
         paths: Paths,
         ids: IntArray,
+        types: IntArray,
         weights: FloatArray,
     ) -> BoundState:
         """The PIM of one variant of the models after a snapshot."""
@@ -149,5 +150,4 @@ class BoundsSession:
         used = variant.used_components
         if timed.control is None or timed.stale:
             used = used & (np.arange(len(used)) != DOPPLER)
-        is_bs = np.arange(len(ids)) == 0
-        return update_bound(state, paths, ids, is_bs, weights, variant.noise, used)
+        return update_bound(state, paths, ids, types, weights, variant.noise, used)

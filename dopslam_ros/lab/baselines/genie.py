@@ -167,7 +167,7 @@ def _with_new_landmarks(
     position = np.array([position for _, position in new]).reshape(-1, SPACE)
     origin = np.tile(np.append(state.mean[:2], parameters.ue_height), (len(new), 1))
     axes = coordinates.frames(position - origin)
-    q = coordinates.placements(origin, axes, position)
+    q = coordinates.local_coordinates(origin, axes, position)
     std = DIFFUSE_STD / np.stack([np.ones(len(new)), q[:, 0], q[:, 0]], axis=1)
     old = len(state.mean)
     covariance = np.diag(np.concatenate([np.zeros(old), std.ravel() ** 2]))

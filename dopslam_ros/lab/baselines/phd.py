@@ -28,7 +28,7 @@ from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.pmb.state import FilterState, initial_filter_state
 from dopslam_ros.core.pmb.undetected import looked_from
 from dopslam_ros.core.settings.filtering import FilterParameters
-from dopslam_ros.core.settings.layout import HEADING, LandmarkType
+from dopslam_ros.core.settings.layout import HEADING, LandmarkType, X, Y
 from dopslam_ros.lab.baselines.births import propose
 from dopslam_ros.lab.baselines.phd_map import heaviest, merge_near, updated_map
 from dopslam_ros.lab.baselines.phd_state import PhdState
@@ -66,7 +66,12 @@ def phd_step(
         ue_mean,
         vehicle.covariance,
         *heaviest(merge_near(components)),
-        undetected=looked_from(state.undetected, ue_mean[:2], parameters),
+        undetected=looked_from(
+            state.undetected,
+            float(ue_mean[X]),
+            float(ue_mean[Y]),
+            float(parameters.sp_field_of_view),
+        ),
     )
 
 

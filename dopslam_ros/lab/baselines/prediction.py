@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from dopslam_ros.core.linalg.arrays import FloatArray, floats
-from dopslam_ros.core.models import motion_kernels as kernels
+from dopslam_ros.core.models import motion
 from dopslam_ros.core.models.motion import ControlSpan, span_rows
 from dopslam_ros.core.settings.filtering import FilterParameters
 
@@ -33,4 +33,4 @@ def predict(
         parameters: with the process noise.
     """
     rows, rate = span_rows(spans), parameters.noise_rate
-    return Gaussian(*kernels.predict(floats(mean), floats(covariance), rows, rate))
+    return Gaussian(*motion.predict(floats(mean), floats(covariance), rows, rate))

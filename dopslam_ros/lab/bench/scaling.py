@@ -16,7 +16,7 @@ from dopslam_ros.core.pmb import (
     initial_filter_state,
     reported_landmarks,
 )
-from dopslam_ros.core.pmb.coordinates import frames, placements
+from dopslam_ros.core.pmb.coordinates import frames, local_coordinates
 from dopslam_ros.core.pmb.inactive import deactivate
 from dopslam_ros.core.settings.layout import SPACE, LandmarkType
 from dopslam_ros.lab.bench.records import Measured, Ratio, milliseconds, times_as_long
@@ -163,7 +163,7 @@ def _appended(
     count, old = len(ids), len(state.mean)
     origin = np.tile(np.append(state.ue_mean[:2], 0.0), (count, 1))
     axes = frames(positions - origin)
-    q = placements(origin, axes, positions)
+    q = local_coordinates(origin, axes, positions)
     distance = q[:, 0]
     # By the axes of its frame a landmark moves along the range and by distance times the tangents.
     to_q = (

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray, wrap_angle
-from dopslam_ros.core.models import channel_kernels as kernels
-from dopslam_ros.core.models.channel import incidence_points, observe, residual
+from dopslam_ros.core.models.channel import incidence_points, observe, observe_sources, residual
 from dopslam_ros.core.settings.layout import AZIMUTHS, DIM, DOPPLER, LandmarkType
 
 BS = np.array([3.0, -5.0, 40.0])
@@ -297,14 +296,14 @@ def test_arrays_of_other_kinds_are_taken_and_compile_nothing_new() -> None:
     types = np.array([2, 1, 0])
     usual = observe(STATE, 20.0, rows.astype(np.float64), types, BS)
     # Of plain Python, where NUMBA_DISABLE_JIT is set, there are none.
-    compiled = len(getattr(kernels.observe_sources, "signatures", ()))
+    compiled = len(getattr(observe_sources, "signatures", ()))
     sealed = STATE.copy()
     sealed.setflags(write=False)
     kinds = (np.asfortranarray(rows), types.astype(np.int32), np.array(BS, dtype=np.float32))
     other = observe(sealed, np.int64(20), *kinds, ue_height=0)
     for one, same in zip(usual, other, strict=True):
         np.testing.assert_array_equal(one, same)
-    assert len(getattr(kernels.observe_sources, "signatures", ())) == compiled
+    assert len(getattr(observe_sources, "signatures", ())) == compiled
 
 
 @pytest.mark.parametrize(

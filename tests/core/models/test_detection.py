@@ -70,24 +70,24 @@ def test_detection_ends_sharply_where_positions_are_exact() -> None:
 def test_detection_is_an_expectation_where_they_are_not() -> None:
     rng = np.random.default_rng(0)
     model = ModelParameters()
-    distances, spread = np.array([30.0, 45.0, 49.0, 50.0, 53.0, 90.0]), 4.0
+    distances, std = np.array([30.0, 45.0, 49.0, 50.0, 53.0, 90.0]), 4.0
     positions = UE + np.outer(distances, [1.0, 0.0, 0.0])
-    chance = detection_probabilities(model, UE, positions, np.full(6, 2), np.full(6, spread))
-    drawn = distances + spread * rng.standard_normal((100_000, 1))
+    chance = detection_probabilities(model, UE, positions, np.full(6, 2), np.full(6, std))
+    drawn = distances + std * rng.standard_normal((100_000, 1))
     np.testing.assert_allclose(chance, 0.9 * (drawn <= 50.0).mean(axis=0), atol=0.006)
-    # Without spread it is the step again.
+    # Without std it is the step again.
     sharp = detection_probabilities(model, UE, positions, np.full(6, 2), np.zeros(6))
     np.testing.assert_allclose(sharp[[0, 1, 2, 4, 5]], [0.9, 0.9, 0.9, 0.0, 0.0])
 
 
 def test_the_edge_is_a_normal_distribution_far_into_its_tails() -> None:
     distances = np.linspace(1.0, 120.0, 60)
-    positions, spread = UE + np.outer(distances, [0.6, 0.0, 0.8]), np.linspace(0.5, 6.0, 60)
-    chance = detection_probabilities(ModelParameters(), UE, positions, np.full(60, 2), spread)
-    expected = 0.9 * norm.cdf((50.0 - distances) / spread)
+    positions, std = UE + np.outer(distances, [0.6, 0.0, 0.8]), np.linspace(0.5, 6.0, 60)
+    chance = detection_probabilities(ModelParameters(), UE, positions, np.full(60, 2), std)
+    expected = 0.9 * norm.cdf((50.0 - distances) / std)
     np.testing.assert_allclose(chance, expected, rtol=1e-12, atol=1e-300)
-    with pytest.raises(ValueError, match="'spread' has the shape"):
-        detection_probabilities(ModelParameters(), UE, positions, np.full(60, 2), spread[:1])
+    with pytest.raises(ValueError, match="'distance_std' has the shape"):
+        detection_probabilities(ModelParameters(), UE, positions, np.full(60, 2), std[:1])
 
 
 def test_clutter_integrates_to_its_mean() -> None:
@@ -96,7 +96,7 @@ def test_clutter_integrates_to_its_mean() -> None:
     volume = np.prod(box[:, 1] - box[:, 0])
     everything = np.ones((1, 6), dtype=bool)
     assert math.exp(log_clutter_intensity(model, everything)[0]) * volume == pytest.approx(3.0)
-    # The sister code's number, spread over the Doppler too, of its clutter mean of 1.
+    # The sister code's number, std over the Doppler too, of its clutter mean of 1.
     sister = replace(model, clutter_mean=1.0, clutter_path_length=(0.0, 400.0))
     expected = 400.0 * math.pi**4 * 4.0 * 50.0
     assert math.exp(-log_clutter_intensity(sister, everything)[0]) == pytest.approx(expected)

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from dopslam_ros.core.linalg.arrays import FloatArray, wrap_angle
-from dopslam_ros.core.models.motion import (
-    Control,
-    ControlSpan,
-    predict_covariance,
-    propagate,
-    propagate_spans,
-    propagation_jacobian,
-)
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.models import motion
+from dopslam_ros.core.models.motion import Control, ControlSpan, Motion, propagate, span_rows
+
+predict_covariance = from_python(motion.predict_covariance)
+_propagate_spans = from_python(motion.propagate_spans)
 
 STATE = np.array([70.7, -3.0, 1.2, 300.0])
+
+
+def propagate_spans(
+    state: FloatArray, spans: Sequence[ControlSpan], noise_rate: FloatArray
+) -> Motion:
+    return _propagate_spans(state, span_rows(spans), noise_rate)
+
+
+def propagation_jacobian(state: FloatArray, control: Control, duration: float) -> FloatArray:
+    """F of a single span."""
+    return propagate_spans(state, [ControlSpan(control, duration)], np.zeros(len(state))).jacobian
 
 
 def printed(state: FloatArray, control: Control, duration: float) -> FloatArray:
@@ -165,12 +175,16 @@ def test_the_covariance_moves_with_the_vehicle_only(size: int) -> None:
     np.testing.assert_array_equal(covariance, before)
 
 
-def test_shapes_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ValueError, match="'state' has the shape"):
-        propagate_spans(np.zeros(3), [], RATE)
-    for covariance in (np.eye(3), np.zeros((5, 4))):
-        with pytest.raises(ValueError, match="'covariance' has the shape"):
-            predict_covariance(covariance, np.eye(4), np.zeros((4, 4)))
+def test_a_fifth_component_walks_at_random() -> None:
+    state, rate = np.append(STATE, 7.0), np.append(RATE, 0.3)
+    spans = [ControlSpan(Control(20.0, 0.3), 0.2), ControlSpan(Control(5.0, 0.0), 0.4)]
+    longer, plain = propagate_spans(state, spans, rate), propagate_spans(STATE, spans, RATE)
+    assert longer.state[4] == 7.0
+    for ours, theirs in zip(plain[1:], longer[1:], strict=True):
+        np.testing.assert_array_equal(theirs[:4, :4], ours)
+        assert not theirs[4, :4].any() and not theirs[:4, 4].any()
+    assert longer.jacobian[4, 4] == 1.0
+    assert longer.noise[4, 4] == pytest.approx(0.3 * 0.6)
 
 
 def test_no_span_is_no_motion() -> None:

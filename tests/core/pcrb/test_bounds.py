@@ -1,4 +1,4 @@
-"""Bounds: the published figure, eq. (19) with explicit inverses, and what must hold anyway."""
+"""Bounds: the published figure, eq. (17) with explicit inverses, and what must hold anyway."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.models import motion
 from dopslam_ros.core.models.channel import observe
-from dopslam_ros.core.models.motion import Control, ControlSpan, propagate, propagation_jacobian
+from dopslam_ros.core.models.motion import Control, ControlSpan, propagate, span_rows
 from dopslam_ros.core.pcrb.bounds import (
     Bounds,
     BoundState,
@@ -28,13 +30,15 @@ from dopslam_ros.simulation.matched import bounds_parameters_for, nominal_bounds
 from dopslam_ros.simulation.scenario import Blockage, Scenario, load_scenario
 from dopslam_ros.simulation.simulator import all_landmarks, nominal_trajectory, visible
 
+propagate_spans = from_python(motion.propagate_spans)
+
 SIGMAS = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, None]
 IDS = np.arange(9)
 ALL = np.ones(DIM, dtype=bool)
 
 
 def recursion(scenario: Scenario, steps: int | None = None) -> BoundState:
-    """Eq. (19) along the path without noise, every visible landmark detected."""
+    """Eq. (17) along the path without noise, every visible landmark detected."""
     positions, types = all_landmarks(scenario)
     states = nominal_trajectory(scenario)[:steps]
     bound = initial_bound(scenario.initial_covariance)
@@ -46,9 +50,14 @@ def recursion(scenario: Scenario, steps: int | None = None) -> BoundState:
         paths = observe(state, control.speed, positions, types, scenario.bs)
         seen = visible(scenario, state, step).astype(float)
         bound = update_bound(
-            bound, paths, IDS, types == 0, seen, scenario.noise, scenario.used_components
+            bound, paths, IDS, types, seen, scenario.noise, scenario.used_components
         )
     return bound
+
+
+def motion_jacobian(state: FloatArray, control: Control, duration: float) -> FloatArray:
+    spans = span_rows([ControlSpan(control, duration)])
+    return propagate_spans(state, spans, np.zeros(len(state))).jacobian
 
 
 def session_outputs(scenario: Scenario) -> list[BoundsOutput]:
@@ -90,7 +99,7 @@ def test_the_session_also_tells_the_published_bounds_without_doppler() -> None:
 def dense(
     prior: FloatArray, steps: list[tuple[FloatArray, FloatArray, FloatArray, BoolArray]]
 ) -> FloatArray:
-    """J^-1 by eq. (19) as printed; each step is F, Q, the stacked H and its R^-1 weights."""
+    """J^-1 by eq. (17) as printed; each step is F, Q, the stacked H and its R^-1 weights."""
     information = np.linalg.inv(prior)
     for f, q, h, weights in steps:
         information = np.linalg.inv(q + f @ np.linalg.inv(information) @ f.T)
@@ -114,18 +123,18 @@ def test_the_recursion_against_explicit_inverses(seed: int) -> None:
     joint[:4, :4] = prior + 0.01 * np.eye(4)
     joint[:4, 4:] *= 0.01
     joint[4:, :4] *= 0.01
-    bound = BoundState(joint, np.array([3, 5]))
+    bound = BoundState(joint, np.array([3, 5]), np.array([4, 7, 10]))
     state, control = np.array([70.0, 0.0, 1.5, 300.0]), Control(20.0, 0.3)
     steps = []
     for k in range(5):
         f, q = np.eye(10), np.zeros((10, 10))
-        f[:4, :4] = propagation_jacobian(state, control, 0.5)
+        f[:4, :4] = motion_jacobian(state, control, 0.5)
         q[:4, :4] = np.diag(rate) * 0.5
         bound = predict_bound(bound, state, [ControlSpan(control, 0.5)], rate)
         state = state + rng.normal(0.0, 1.0, 4) * [5.0, 5.0, 0.1, 0.0]
         paths = observe(state, control.speed, positions, types, bs)
         seen = np.array([1.0, k % 2, 0.6])
-        bound = update_bound(bound, paths, ids, types == 0, seen, np.diag(std**2), ALL)
+        bound = update_bound(bound, paths, ids, types, seen, np.diag(std**2), ALL)
         h = np.zeros((3, DIM, 10))
         h[:, :, :4] = paths.ue_jacobian
         h[1, :, 4:7], h[2, :, 7:10] = paths.landmark_jacobian[1:]
@@ -150,7 +159,7 @@ def test_a_full_covariance_per_path_counts() -> None:
     used = np.array([True, True, False, True, False, True])
     prior = np.diag([0.09, 0.09, 1e-3, 0.09])
     bound = update_bound(
-        initial_bound(prior), paths, np.array([0, 1]), types == 0, np.ones(2), noise, used
+        initial_bound(prior), paths, np.array([0, 1]), types, np.ones(2), noise, used
     )
     information = np.linalg.inv(prior)
     for path in range(2):
@@ -209,7 +218,7 @@ def test_a_landmark_that_the_components_cannot_locate_is_infinite() -> None:
         initial_bound(scenario.initial_covariance),
         paths,
         IDS,
-        types == 0,
+        types,
         np.ones(9),
         scenario.noise,
         only_length,
@@ -222,8 +231,20 @@ def test_nothing_seen_is_the_prediction() -> None:
     positions, types = all_landmarks(scenario)
     before = recursion(scenario, steps=3)
     paths = observe(nominal_trajectory(scenario)[3], 22.22, positions, types, scenario.bs)
-    after = update_bound(before, paths, IDS, types == 0, np.zeros(9), scenario.noise, ALL)
+    after = update_bound(before, paths, IDS, types, np.zeros(9), scenario.noise, ALL)
     np.testing.assert_array_equal(after.covariance, before.covariance)
+
+
+def test_shapes_that_do_not_fit_are_refused() -> None:
+    state, rate = initial_bound(np.eye(4)), np.ones(4)
+    with pytest.raises(ValueError, match="'ue' has the shape"):
+        predict_bound(state, np.zeros(3), [], rate)
+    with pytest.raises(ValueError, match="'covariance' has the shape"):
+        predict_bound(state._replace(covariance=np.zeros((5, 4))), np.zeros(4), [], rate)
+    positions, types = np.zeros((1, 3)), np.array([0])
+    paths = observe(np.ones(5), 1.0, positions, types, np.zeros(3))
+    with pytest.raises(ValueError, match="'ue_jacobian' has the shape"):
+        update_bound(state, paths, types, types, np.ones(1), np.eye(DIM), ALL)
 
 
 def test_doppler_never_hurts_and_better_doppler_is_better() -> None:
@@ -324,7 +345,7 @@ def test_what_is_blocked_gives_no_information() -> None:
     # Dead reckoning, step by step.
     state, covariance = np.array(scenario.initial_state), scenario.initial_covariance
     for control in scenario.controls[:-1]:
-        f = propagation_jacobian(state, control, scenario.period)
+        f = motion_jacobian(state, control, scenario.period)
         covariance = f @ covariance @ f.T + np.diag(scenario.noise_rate) * scenario.period
         state = propagate(state, control, scenario.period)
     assert blind.peb == pytest.approx(math.sqrt(covariance[0, 0] + covariance[1, 1]))

@@ -11,6 +11,8 @@ from scipy.stats import multivariate_normal, norm
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.linalg.vec import Vec
+from dopslam_ros.core.models import channel_kernels
 from dopslam_ros.core.models import incidence as incidence_kernels
 from dopslam_ros.core.models.channel import observe, residual
 from dopslam_ros.core.models.measurements import MeasurementSet
@@ -21,7 +23,8 @@ from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
 from dopslam_ros.core.settings.layout import DIM, UNKNOWN_TYPES
 from dopslam_ros.lab.baselines.births import propose
 
-incidence_points = from_python(incidence_kernels.incidence_points)
+incidence_points = from_python(incidence_kernels.measured_incidence_points)
+vehicle_of = from_python(channel_kernels.vehicle_of)
 
 SPEED = 22.22
 # A weak enough prior on the height that it does not move a landmark whose elevation is measured.
@@ -240,7 +243,7 @@ def test_intensity_at_the_edge_of_the_field_of_view_against_integration() -> Non
 
 
 def test_the_intensity_is_proportional_to_what_is_left_undetected() -> None:
-    looked = looked_from(nothing_seen(), STATE.ue_mean[:2], PARAMETERS)
+    looked = looked_from(nothing_seen(), *STATE.ue_mean[:2].tolist(), PARAMETERS.sp_field_of_view)
     after = STATE.but(undetected=looked)
     for kind, place in ((0, VA), (1, SP)):  # both in view
         values = h(STATE.ue_mean, place[None], kind)
@@ -269,9 +272,9 @@ def test_incidence_points_lie_on_both_rays(name: str) -> None:
         observed = prepare(
             MeasurementSet(without(values, *missing), np.zeros((1, DIM, DIM))), PARAMETERS
         )
-        points, located = np.empty((1, 3)), np.empty(1, np.bool_)
-        where, height = PARAMETERS.bs, float(PARAMETERS.landmark_height_mean)
-        incidence_points(STATE.ue_mean, 0.0, where, height, observed.values, points, located)
+        vehicle, bs = vehicle_of(STATE.ue_mean, 0.0, 0.0), Vec(*PARAMETERS.bs.tolist())
+        height = float(PARAMETERS.landmark_height_mean)
+        points, located = incidence_points(vehicle, bs, height, observed.values)
         assert located.all()
         np.testing.assert_allclose(points[0], point, atol=1e-6)
 
@@ -301,7 +304,7 @@ def test_the_fit_solves_its_normal_equations(name: str, seed: int) -> None:
     parameters = FilterParameters()
     root = np.diag([0.3, 0.3, 0.005, 0.3]) @ rng.normal(size=(4, 4))
     state = STATE.but(covariance=root @ root.T + 1e-5 * np.eye(4))
-    state = state.but(undetected=looked_from(nothing_seen(), np.zeros(2), parameters))
+    state = state.but(undetected=looked_from(nothing_seen(), 0.0, 0.0, parameters.sp_field_of_view))
     observed = prepare(drawn(rng, kind, place), parameters)
     births = propose(state, observed, SPEED, parameters)
     fitted = np.flatnonzero(np.isfinite(births.log_intensity[kind]))

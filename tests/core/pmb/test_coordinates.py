@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.pmb import coordinates_kernels as kernels
-from dopslam_ros.core.pmb.coordinates import frames, jacobians, placements, positions
+from dopslam_ros.core.pmb.coordinates import frames, jacobians, local_coordinates, positions
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -14,7 +14,7 @@ def test_round_trip_and_jacobians(seed: int) -> None:
     rng = np.random.default_rng(seed)
     origin, place = rng.normal(0.0, 50.0, (2, 20, 3))
     axes = frames(place - origin + rng.normal(0.0, 3.0, (20, 3)))
-    q = placements(origin, axes, place)
+    q = local_coordinates(origin, axes, place)
     np.testing.assert_allclose(positions(origin, axes, q), place, atol=1e-9)
     np.testing.assert_allclose(q[:, 0], np.linalg.norm(place - origin, axis=1))
     found = jacobians(axes, q)
@@ -23,11 +23,11 @@ def test_round_trip_and_jacobians(seed: int) -> None:
         np.testing.assert_allclose(found[:, :, column], difference / 2e-6, atol=1e-5)
     root = rng.normal(size=(20, 3, 3))
     covariance = root @ np.swapaxes(root, 1, 2)
-    position, spread = kernels.in_space(origin, axes, q, covariance)
+    position, uncertainty = kernels.in_space(origin, axes, q, covariance)
     np.testing.assert_allclose(position, place, atol=1e-9)
     expected = found @ covariance @ np.swapaxes(found, 1, 2)
-    np.testing.assert_allclose(spread, expected, rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(spread, np.swapaxes(spread, 1, 2))
+    np.testing.assert_allclose(uncertainty, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(uncertainty, np.swapaxes(uncertainty, 1, 2))
 
 
 def test_frames_are_rotations_also_straight_up() -> None:
@@ -39,7 +39,7 @@ def test_frames_are_rotations_also_straight_up() -> None:
     np.testing.assert_allclose(np.linalg.det(axes), 1.0)
     length = np.linalg.norm(offset, axis=1)
     np.testing.assert_allclose(axes[:, :, 0] * length[:, None], offset, atol=1e-12)
-    born = placements(np.zeros((4, 3)), axes, offset)
+    born = local_coordinates(np.zeros((4, 3)), axes, offset)
     np.testing.assert_allclose(born, np.stack([length, 0 * length, 0 * length], 1), atol=1e-12)
 
 
@@ -63,19 +63,19 @@ def test_what_has_no_direction_is_finite() -> None:
         axes = frames(np.zeros((1, 3)))
         np.testing.assert_allclose(axes[0] @ axes[0].T, np.eye(3), atol=1e-15)
         for place in (origin, origin + axes[:, :, 1], origin - axes[:, :, 0]):
-            q = placements(origin, axes, place)
+            q = local_coordinates(origin, axes, place)
             assert np.isfinite(q).all()
             assert q[0, 0] == pytest.approx(np.linalg.norm(place - origin))
         assert np.isfinite(jacobians(axes, np.zeros((1, 3)))).all()
 
 
-def test_frames_and_places_of_different_number_are_refused() -> None:
+def test_frames_and_landmarks_of_different_number_are_refused() -> None:
     axes = np.tile(np.eye(3), (2, 1, 1))
     with pytest.raises(ValueError, match="'axes' has the shape"):
         positions(np.zeros((3, 3)), axes, np.zeros((3, 3)))
     with pytest.raises(ValueError, match="'origin' has the shape"):
-        placements(np.zeros((1, 3)), axes, np.zeros((2, 3)))
+        local_coordinates(np.zeros((1, 3)), axes, np.zeros((2, 3)))
     with pytest.raises(ValueError, match="'axes' has the shape"):
         jacobians(axes, np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="'offset' has the shape"):
+    with pytest.raises(ValueError, match="'displacement' has the shape"):
         frames(np.zeros((2, 2)))

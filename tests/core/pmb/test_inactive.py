@@ -17,7 +17,7 @@ from dopslam_ros.core.pmb import (
     step,
 )
 from dopslam_ros.core.pmb import step as step_function
-from dopslam_ros.core.pmb.coordinates import frames, placements
+from dopslam_ros.core.pmb.coordinates import frames, local_coordinates
 from dopslam_ros.core.pmb.inactive import FORGOTTEN, current, deactivate, reactivate
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks, together
 from dopslam_ros.core.settings.model import with_doppler_std
@@ -47,7 +47,9 @@ def state_with(
     std = np.concatenate([[0.3, 0.3, 0.01, 0.3], np.tile([0.3, 0.004, 0.004], len(place))])
     start = initial_filter_state(PARAMETERS)
     return start.but(
-        mean=np.concatenate([[0.0, 0.0, 1.0, 300.0], placements(origin, axes, place).ravel()]),
+        mean=np.concatenate(
+            [[0.0, 0.0, 1.0, 300.0], local_coordinates(origin, axes, place).ravel()]
+        ),
         covariance=correlation / np.outer(scale, scale) * np.outer(std, std),
         origin=origin,
         axes=axes,

@@ -17,7 +17,7 @@ from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_s
 from dopslam_ros.core.pmb import hypotheses as hypotheses_kernels
 from dopslam_ros.core.pmb import likelihood as kernels
 from dopslam_ros.core.pmb.birth import Births
-from dopslam_ros.core.pmb.coordinates import frames, placements, positions
+from dopslam_ros.core.pmb.coordinates import frames, local_coordinates, positions
 from dopslam_ros.core.pmb.hypotheses import LocalWeights
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
 from dopslam_ros.core.pmb.observed import prepare
@@ -74,7 +74,7 @@ def two_track_state(seed: int = 0) -> FilterState:
     std = np.array([0.3, 0.3, 0.01, 0.3, 2.0, 0.02, 0.02, *[1.0, 0.03, 0.03] * 2])
     covariance = correlation / np.outer(scale, scale) * np.outer(std, std)
     return initial_filter_state(PARAMETERS).but(
-        mean=np.concatenate([ue, placements(origin, axes, position).ravel()]),
+        mean=np.concatenate([ue, local_coordinates(origin, axes, position).ravel()]),
         covariance=covariance,
         origin=origin,
         axes=axes,
@@ -256,7 +256,7 @@ def with_sp_at(state: FilterState, position: list[float]) -> FilterState:
     place, origin, axes = np.array([position]), state.origin[1:2], state.axes.copy()
     axes[1] = frames(place - origin)[0]
     mean = state.mean.copy()
-    mean[7:10] = placements(origin, axes[1:2], place)[0]
+    mean[7:10] = local_coordinates(origin, axes[1:2], place)[0]
     return state.but(mean=mean, axes=axes)
 
 

@@ -20,7 +20,7 @@ from dopslam_ros.core.pmb import (
     reported_landmarks,
     step,
 )
-from dopslam_ros.core.pmb.coordinates import frames, placements
+from dopslam_ros.core.pmb.coordinates import frames, local_coordinates
 from dopslam_ros.core.pmb.step import predict
 from dopslam_ros.core.settings.layout import DIM, NONE, LandmarkType
 from dopslam_ros.simulation.matched import filter_parameters_for
@@ -45,7 +45,7 @@ def with_map(parameters: FilterParameters, positions: FloatArray, types: list[in
     start = initial_filter_state(parameters)
     origin = np.tile([60.0, -3.0, 0.0], (count, 1))
     axes = frames(positions - origin)
-    q = placements(origin, axes, positions)
+    q = local_coordinates(origin, axes, positions)
     std = 0.5 / np.stack([np.ones(count), q[:, 0], q[:, 0]], axis=1)
     return start.but(
         mean=np.concatenate([start.mean, q.ravel()]),

@@ -8,16 +8,24 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.jit import from_python
-from dopslam_ros.core.pmb import FilterParameters, undetected_kernels
+from dopslam_ros.core.linalg.vec import Vec
+from dopslam_ros.core.pmb import FilterParameters
+from dopslam_ros.core.pmb import undetected as kernels
 from dopslam_ros.core.pmb.density import Undetected
-from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
-from dopslam_ros.core.pmb.undetected_kernels import MOST_VIEWPOINTS
+from dopslam_ros.core.pmb.undetected import MOST_VIEWPOINTS, nothing_seen
 
-log_share_left = from_python(undetected_kernels.log_share_left)
+log_share_left = from_python(kernels.log_share_left)
 
 PARAMETERS = FilterParameters()
 FLOOR = 1e-3
 SP, VA = 2, 1
+
+
+def looked_from(
+    undetected: Undetected, place: np.ndarray, parameters: FilterParameters
+) -> Undetected:
+    x, y = place.tolist()
+    return kernels.looked_from(undetected, x, y, parameters.constants.sp_field_of_view)
 
 
 def drive(places: np.ndarray, parameters: FilterParameters = PARAMETERS) -> Undetected:
@@ -34,16 +42,8 @@ def left(
     floor: float = FLOOR,
     parameters: FilterParameters = PARAMETERS,
 ) -> float:
-    log_share = log_share_left(
-        undetected,
-        float(parameters.ue_height),
-        np.array(position),
-        kind,
-        0.1,
-        float(parameters.detection_probability),
-        float(parameters.sp_field_of_view),
-        floor,
-    )
+    constants = parameters.constants._replace(undetected_floor=floor)
+    log_share = log_share_left(undetected, Vec(*position), kind, 0.1, constants)
     return math.exp(log_share)
 
 

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray
+from dopslam_ros.core.linalg.jit import from_python
+from dopslam_ros.core.models import motion
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.models.motion import Control, ControlSpan, propagate_spans
+from dopslam_ros.core.models.motion import Control, ControlSpan, span_rows
 from dopslam_ros.core.models.refusal import Refused
 from dopslam_ros.core.monitoring import recovery as recovery_module
 from dopslam_ros.core.pmb import FilterParameters, initial_filter_state, mixture_step, step
@@ -23,6 +25,8 @@ from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import Snapshot, simulate
+
+propagate_spans = from_python(motion.propagate_spans)
 
 SCENARIO = load_scenario("paper")
 PARAMETERS = filter_parameters_for(SCENARIO)
@@ -161,7 +165,7 @@ def test_a_gap_without_sets_is_predicted_through(snapshots: list[Snapshot]) -> N
         list(filtering.add_control(stamp + tick * 500_000_000, *control))
     nothing = MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM)))
     (after,) = filtering.add_measurements(stamp + 30_000_000_000, nothing)
-    spans = [ControlSpan(control, 0.5)] * 60
+    spans = span_rows([ControlSpan(control, 0.5)] * 60)
     _, jacobian, noise = propagate_spans(before.state.ue_mean, spans, PARAMETERS.noise_rate)
     expected = jacobian @ before.state.ue_covariance @ jacobian.T + noise
     np.testing.assert_allclose(after.state.ue_covariance, expected, rtol=1e-6)
