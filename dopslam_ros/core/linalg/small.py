@@ -101,12 +101,12 @@ def log_determinant(lower: FloatArray, n: int) -> float:
 
 
 @jit
-def used_places(used: BoolArray, place: IntArray) -> int:
-    """Writes the indices at which used (n,) holds to the front of place (n,); returns how many."""
+def used_indices(used: BoolArray, indices: IntArray) -> int:
+    """Writes where used (n,) holds to the front of indices (n,); returns how many there are."""
     count = 0
     for index in range(len(used)):
         if used[index]:
-            place[count] = index
+            indices[count] = index
             count += 1
     return count
 

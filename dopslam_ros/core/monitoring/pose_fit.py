@@ -23,7 +23,7 @@ from dopslam_ros.core.linalg.small import (
     invert,
     log_determinant,
     solve,
-    used_places,
+    used_indices,
 )
 from dopslam_ros.core.linalg.vec import vec
 from dopslam_ros.core.models.channel_kernels import observe_source, vehicle_of, wrapped
@@ -111,7 +111,7 @@ def compare(
     )
     if degenerate or not facing:
         return 0
-    count = used_places(paths.used[j], work.components)
+    count = used_indices(paths.used[j], work.components)
     for k in range(count):
         c = work.components[k]
         work.v[k] = paths.values[j, c] - work.h[c]

@@ -58,7 +58,8 @@ class InformationSplit(NamedTuple):
 def initial_bound(initial_covariance: FloatArray) -> BoundState:
     """The recursion before the first snapshot: the prior of the vehicle, no landmark."""
     none = np.zeros(0, dtype=np.int64)
-    return BoundState(np.array(initial_covariance), none, np.array([len(initial_covariance)]))
+    covariance = floats(np.array(initial_covariance))
+    return BoundState(covariance, none, integers(np.array([len(covariance)])))
 
 
 def predict_bound(
@@ -82,7 +83,7 @@ def predict_bound(
         covariance=(state.covariance, (size, size)),
     )
     rate = floats(noise_rate)
-    _, covariance = predict(floats(ue), floats(state.covariance), span_rows(spans), rate)
+    _, covariance = predict(floats(ue), state.covariance, span_rows(spans), rate)
     return state._replace(covariance=covariance)
 
 
@@ -126,20 +127,17 @@ def update_bound(
         floats(noise).reshape(-1, DIM, DIM),
         used.reshape(-1, DIM),
     )
-    after, sound = kernels.update(_ready(state), information, integers(ids), integers(types))
+    covariance, known, start, sound = kernels.update(
+        *state, information, integers(ids), integers(types)
+    )
     if not sound:
         raise np.linalg.LinAlgError("the measurement noise is not positive definite")
-    return after
+    return BoundState(covariance, known, start)
 
 
 def bounds_of(state: BoundState, ids: IntArray) -> Bounds:
     """PEB, HEB, CEB and, for the landmarks asked for, LEB (below eq. (17))."""
-    return Bounds(*kernels.read_bounds(_ready(state), integers(ids)))
-
-
-def _ready(state: BoundState) -> BoundState:
-    """A state of the kind that is compiled."""
-    return BoundState(floats(state.covariance), integers(state.ids), integers(state.start))
+    return Bounds(*kernels.read_bounds(*state, integers(ids)))
 
 
 def information_split(paths: Paths, model: ModelParameters) -> InformationSplit:

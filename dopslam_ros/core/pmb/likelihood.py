@@ -9,7 +9,7 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray
 from dopslam_ros.core.linalg.jit import from_python, jit, jit_inline
-from dopslam_ros.core.linalg.small import cholesky, forward, log_determinant, used_places
+from dopslam_ros.core.linalg.small import cholesky, forward, log_determinant, used_indices
 from dopslam_ros.core.linalg.vec import between, unit, vec
 from dopslam_ros.core.models.channel_kernels import observe_source, vehicle_of, wrapped
 from dopslam_ros.core.models.detection import detection_probability
@@ -263,7 +263,7 @@ def weigh_pairs(
     definite = True
     s, v, component = np.empty((DIM, DIM)), np.empty(DIM), np.empty(DIM, np.int64)
     for j in range(len(used)):
-        count = used_places(used[j], component)
+        count = used_indices(used[j], component)
         gate = gates[count]
         for m in range(len(degenerate)):
             log_likelihood[m, j] = -np.inf
