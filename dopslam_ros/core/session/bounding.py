@@ -13,12 +13,12 @@ from dopslam_ros.core.models.channel import Paths, observe
 from dopslam_ros.core.models.detection import detection_probabilities
 from dopslam_ros.core.pcrb.bounds import (
     Bounds,
-    BoundState,
     bounds_of,
     initial_bound,
     predict_bound,
     update_bound,
 )
+from dopslam_ros.core.pcrb.bounds_kernels import BoundState
 from dopslam_ros.core.session.sequence import BEGUN_ANEW, Sequencer, Timed
 from dopslam_ros.core.settings.bounding import BoundsParameters
 from dopslam_ros.core.settings.layout import BS_ID, DOPPLER, LandmarkType, X, Y
