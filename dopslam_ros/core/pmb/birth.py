@@ -60,7 +60,7 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
         speed: v at the snapshot [m/s].
         constants: intensities and the height prior.
     """
-    ue, vehicle, paths = density.mean, density.start[0], len(observed.values)
+    ue, paths = density.mean, len(observed.values)
     incidence, located = np.empty((paths, SPACE)), np.empty(paths, np.bool_)
     incidence_points(
         ue,
@@ -71,7 +71,7 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
         incidence,
         located,
     )
-    births, fit = no_births(paths, vehicle), new_fit(vehicle)
+    births, fit = no_births(paths, len(density.vehicle)), new_fit(density.vehicle)
     for t in range(len(UNKNOWN_TYPES)):
         kind = UNKNOWN_TYPES[t]
         for j in range(paths):
