@@ -64,8 +64,8 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
     incidence, located = measured_incidence_points(
         vehicle, bs, constants.landmark_height_mean, observed.values
     )
-    paths, size = len(observed.values), density.start[0]
-    births, fit = no_births(paths, size), new_fit(size)
+    paths = len(observed.values)
+    births, fit = no_births(paths, len(density.vehicle)), new_fit(density.vehicle)
     for t in range(len(UNKNOWN_TYPES)):
         kind = UNKNOWN_TYPES[t]
         for j in range(paths):

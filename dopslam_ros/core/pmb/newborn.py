@@ -18,13 +18,13 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import jit, jit_inline
-from dopslam_ros.core.linalg.vec import vec
+from dopslam_ros.core.linalg.vec import unit, vec
 from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.coordinates_kernels import frame_along
 from dopslam_ros.core.pmb.density import Density, block_starts
 from dopslam_ros.core.pmb.hypotheses import Hypotheses
 from dopslam_ros.core.settings.filtering import Constants
-from dopslam_ros.core.settings.layout import NONE, SPACE, UNKNOWN_TYPES, X, Y
+from dopslam_ros.core.settings.layout import NONE, SPACE, UNKNOWN_TYPES, Components, X, Y
 
 
 @jit_inline
@@ -122,18 +122,16 @@ def appended_tracks(
     """Ids and existence of T tracks with the births behind them; ``numbered`` (J,) get an id.
 
     Returns:
-        (T + B,) ids, (T + B,) existence, (J,) track of the birth from each path, or NONE, and the
-        next id.
+        (T + B,) ids, (T + B,) existence, (J,) tracks born from the paths, or NONE, and next id.
     """
-    tracks = len(track_id)
-    birth_track, total = np.full(len(numbered), NONE), tracks
+    birth_track, total = np.full(len(numbered), NONE), len(track_id)
     for j in range(len(numbered)):
         if born.kept[j]:
             birth_track[j] = total
             total += 1
     ids, exist = np.empty(total, np.int64), np.empty(total)
     # Number by number: to put an array into a slice the compiler takes as long as for all the rest.
-    for t in range(tracks):
+    for t in range(len(track_id)):
         ids[t], exist[t] = track_id[t], existence[t]
     for j in range(len(numbered)):
         if born.kept[j]:
@@ -155,12 +153,11 @@ def born_components(
         prune_type: types with a smaller share are dropped.
 
     Returns:
-        (B,) the path of each component, which of the ``UNKNOWN_TYPES`` it has, and the probability
-        of that type.
+        (B,) the paths of the components, which of the ``UNKNOWN_TYPES`` they have, the types'
+        probabilities.
     """
-    most = len(UNKNOWN_TYPES) * len(kept)
+    most, count = len(UNKNOWN_TYPES) * len(kept), 0
     path, kind, share = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
-    count = 0
     for j in range(len(kept)):
         if not kept[j]:
             continue
@@ -196,38 +193,38 @@ def appended_gaussian(
         path: (B,) which of them.
         kind: (B,) of which type.
         displacement: (B, 3) from the vehicle [m], along which the first axes point.
-        axes: (B, 3, 3) of their frames.
+        axes: (B, 3, 3).
         start: (C + B + 1,) where all blocks begin.
     """
-    n, vehicle, before = len(density.mean), density.start[0], len(density.start) - 1
+    n, vehicle, before = len(density.mean), density.vehicle, len(density.start) - 1
     mean, covariance = np.zeros(start[-1]), np.zeros((start[-1], start[-1]))
     for i in range(n):
         mean[i] = density.mean[i]
         for j in range(n):
             covariance[i, j] = density.covariance[i, j]
-    residual, gain = np.empty((SPACE, SPACE)), np.empty((SPACE, vehicle))
+    residual, gain = np.empty((SPACE, SPACE)), np.empty((SPACE, len(vehicle)))
     for birth in range(len(path)):
-        k, j = kind[birth], path[birth]
-        at = start[before + birth]
+        k, j, at = kind[birth], path[birth], start[before + birth]
         mean[at] = local_regression(
             density.covariance,
             displacement[birth],
             axes[birth],
             births.covariance[k, j],
             births.gain[k, j],
+            vehicle,
             residual,
             gain,
         )
         for c in range(SPACE):
             i = at + c
             # Columns up to here: the old ones, then the births before this one.
-            for m in range(vehicle):
+            for m in range(len(vehicle)):
                 for other in range(i):
                     covariance[i, other] += gain[c, m] * covariance[m, other]
             for other in range(i):
                 covariance[other, i] = covariance[i, other]
             own = residual[c, c]
-            for m in range(vehicle):
+            for m in range(len(vehicle)):
                 own += gain[c, m] * covariance[m, i]
             for d in range(c):
                 covariance[i, at + d] += residual[c, d]
@@ -243,6 +240,7 @@ def local_regression(
     axes: FloatArray,
     position_covariance: FloatArray,
     position_gain: FloatArray,
+    vehicle: Components,
     residual: FloatArray,
     gain: FloatArray,
 ) -> float:
@@ -256,22 +254,22 @@ def local_regression(
         axes: (3, 3) of the frame.
         position_covariance: (3, 3) cov(x) [m^2].
         position_gain: (3, S) dx/ds.
-        residual: (3, 3) result: covariance of q given the vehicle.
+        vehicle: its components.
+        residual: (3, 3) result.
         gain: (3, S) result: dq/ds.
 
     Returns:
-        The distance from the vehicle [m], which is the first local coordinate.
+        The first local coordinate: the distance from the vehicle [m].
     """
-    local, vehicle = np.empty((SPACE, SPACE)), gain.shape[1]
-    x, y, z = displacement[0], displacement[1], displacement[2]
-    distance = math.sqrt(x * x + y * y + z * z)
+    local = np.empty((SPACE, SPACE))
+    distance, _ = unit(vec(displacement))
     # dq/dx where the tangents are zero: the axes, those across scaled by the distance.
     for r in range(SPACE):
         scale = 1.0 if r == 0 else 1.0 / distance
         for c in range(SPACE):
             local[r, c] = axes[c, r] * scale
     for r in range(SPACE):
-        for k in range(vehicle):
+        for k in range(len(vehicle)):
             total = 0.0
             for c in range(SPACE):
                 total += local[r, c] * position_gain[c, k]
@@ -282,8 +280,8 @@ def local_regression(
             for i in range(SPACE):
                 for j in range(SPACE):
                     total += local[r, i] * position_covariance[i, j] * local[d, j]
-            for i in range(vehicle):
-                for j in range(vehicle):
+            for i in range(len(vehicle)):
+                for j in range(len(vehicle)):
                     total -= gain[r, i] * covariance[i, j] * gain[d, j]
             residual[r, d] = total
             residual[d, r] = total

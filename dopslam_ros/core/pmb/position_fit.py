@@ -12,7 +12,7 @@ from dopslam_ros.core.linalg.jit import jit_inline
 from dopslam_ros.core.linalg.small import cholesky, forward_columns, invert, log_determinant
 from dopslam_ros.core.models.channel_kernels import wrapped
 from dopslam_ros.core.pmb.likelihood import Observed
-from dopslam_ros.core.settings.layout import AZIMUTHS, DIM, SPACE
+from dopslam_ros.core.settings.layout import AZIMUTHS, DIM, SPACE, Components
 
 # Worse known than this [m] a new landmark is of no use, and its linearisation no good.
 LARGEST_STD = 200.0
@@ -33,6 +33,7 @@ class Fit(NamedTuple):
         normal: (4, 4) in the lower triangle white' white, the prior added; at the best fit the
             Cholesky factor of the information in the first three rows, and in the last corner the
             squared distance of path and prior from it.
+        vehicle: its components, of which the compiler knows how many there are.
     """
 
     h: FloatArray
@@ -41,18 +42,20 @@ class Fit(NamedTuple):
     root: FloatArray
     white: FloatArray
     normal: FloatArray
+    vehicle: Components
 
 
 @jit_inline
-def new_fit(vehicle: int) -> Fit:
-    """Room for the equations; so many numbers make up the vehicle."""
+def new_fit(vehicle: Components) -> Fit:
+    """Room for the equations."""
     return Fit(
         np.empty(DIM),
-        np.empty((DIM, vehicle)),
+        np.empty((DIM, len(vehicle))),
         np.empty((DIM, SPACE)),
         np.empty((DIM, DIM)),
         np.empty((DIM, SPACE + 1)),
         np.empty((SPACE + 1, SPACE + 1)),
+        vehicle,
     )
 
 
@@ -75,7 +78,7 @@ def linearise(ue_covariance: FloatArray, observed: Observed, j: int, fit: Fit) -
         used = observed.used[j, i]
         white[i, SPACE] = observed.values[j, i] - fit.h[i] if used else 0.0
         if not used:
-            for m in range(a.shape[1]):
+            for m in range(len(fit.vehicle)):
                 a[i, m] = 0.0
             for m in range(SPACE):
                 b[i, m] = 0.0
@@ -86,16 +89,16 @@ def linearise(ue_covariance: FloatArray, observed: Observed, j: int, fit: Fit) -
     for i in range(DIM):
         for k in range(i + 1):
             root[i, k] = observed.noise[j, i, k]
-        for m in range(a.shape[1]):
+        for m in range(len(fit.vehicle)):
             projected = 0.0
-            for p in range(a.shape[1]):
+            for p in range(len(fit.vehicle)):
                 projected += a[i, p] * ue_covariance[p, m]
             for k in range(i + 1):
                 root[i, k] += projected * a[k, m]
     if not cholesky(root, len(root)):
         return False
     forward_columns(root, white, len(root))
-    for i in range(white.shape[1]):
+    for i in range(SPACE + 1):
         for k in range(i + 1):
             total = 0.0
             for m in range(DIM):
@@ -137,13 +140,13 @@ def position_posterior(fit: Fit, covariance: FloatArray, gain: FloatArray) -> bo
             covariance[j, i] = mean
     forward_columns(fit.root, fit.a, len(fit.root))
     for i in range(SPACE):
-        for k in range(gain.shape[1]):
+        for k in range(len(fit.vehicle)):
             gain[i, k] = 0.0
         for n in range(DIM):
             weight = 0.0
             for j in range(SPACE):
                 weight += covariance[i, j] * fit.white[n, j]
-            for k in range(gain.shape[1]):
+            for k in range(len(fit.vehicle)):
                 gain[i, k] -= weight * fit.a[n, k]
     variance: float = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
     return variance < LARGEST_STD * LARGEST_STD
