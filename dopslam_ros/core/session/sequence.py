@@ -77,7 +77,7 @@ class Sequencer(Generic[Item]):
         self._controls: Stream[Control] = Stream("control", "late_control", window)
         self._first: Instant | None = None
         self._last: Instant | None = None
-        self._apart_ns: int | None = None
+        self._alone_since_ns: int | None = None
 
     @property
     def pending(self) -> int:
@@ -143,7 +143,7 @@ class Sequencer(Generic[Item]):
                 sorting, or it is there already.
         """
         self._items.add(stamp_ns, item, self._last)
-        self._watch_rounds(stamp_ns)
+        self._rejoin_rounds(stamp_ns)
 
     def ready(self) -> Iterator[Timed[Item]]:
         """Releases what need not wait any longer, in order."""
@@ -176,13 +176,13 @@ class Sequencer(Generic[Item]):
         start = bisect.bisect_left(self._items.times, Instant(self._items.round, 0))
         return newest - self._items.times[start].stamp_ns >= self._wait_ns
 
-    def _watch_rounds(self, stamp_ns: int) -> None:
+    def _rejoin_rounds(self, stamp_ns: int) -> None:
         """Time that begins anew on one topic only is given up after a while."""
         if self._items.round == self._controls.round or self._controls.newest_ns is None:
-            self._apart_ns = None
-        elif self._apart_ns is None or stamp_ns < self._apart_ns:
-            self._apart_ns = stamp_ns
-        elif stamp_ns - self._apart_ns >= self._wait_ns:
+            self._alone_since_ns = None
+        elif self._alone_since_ns is None or stamp_ns < self._alone_since_ns:
+            self._alone_since_ns = stamp_ns
+        elif stamp_ns - self._alone_since_ns >= self._wait_ns:
             self._controls.join(self._items.round)
 
     def _release(self, reached: bool) -> Timed[Item]:
