@@ -86,62 +86,98 @@ def density(axes: Any) -> None:
     axes.axis("off")
 
 
-# By name: what it is, centre, and colour by ring.
-BOXES = {
-    "source": ("your estimator,\nsimulator or player", (1.6, 4.6), "white"),
-    "filter": ("filter node", (5.6, 5.5), "#dce9f6"),
-    "bounds": ("bounds node", (5.6, 3.7), "#dce9f6"),
-    "recorder": ("recorder node", (9.9, 4.6), "#dce9f6"),
-    "bag": ("MCAP bag", (13.4, 4.6), "white"),
-    "core": (
-        "core: FilterSession, BoundsSession\n(no ROS, the same live and offline)",
-        (5.6, 1.4),
-        "#e3f1e6",
-    ),
-    "offline": ("dopslam replay, report,\ncompare, study", (13.4, 1.4), "#fdf0d9"),
+ROBOT, LABORATORY = "#dce9f6", "#fdf0d9"
+# The rooms of the package: what is in them, where they stand, and where they are used.
+ROOMS = {
+    "cli": ("the command dopslam", (6.0, 8.6), LABORATORY),
+    "lab": ("studies, baselines, figures,\nreports, benchmarks", (6.0, 7.2), LABORATORY),
+    "nodes": ("filter, bounds, recorder,\nplayer, simulator", (3.3, 5.7), ROBOT),
+    "offline": ("replay of a bag,\nmetrics", (8.7, 5.7), ROBOT),
+    "simulation": ("scenes, simulated runs,\nwarm-up", (6.0, 4.3), ROBOT),
+    "system": ("files, storage,\nprocesses, Ctrl-C", (3.3, 2.9), ROBOT),
+    "messages": ("topics, fields of messages", (8.7, 2.9), ROBOT),
+    "bag": ("MCAP bags", (11.4, 1.1), ROBOT),
 }
-# From box to box; what goes along, and where that stands beside the middle.
-ARROWS = (
-    ("source", "filter", "sets,\ncontrols", (-0.1, 0.35)),
-    ("source", "bounds", "", (0.0, 0.0)),
-    ("filter", "bounds", "state, map", (0.7, 0.0)),
-    ("filter", "recorder", "pose, map", (0.4, 0.3)),
-    ("bounds", "recorder", "bounds", (0.4, -0.3)),
-    ("recorder", "bag", "writes", (0.1, 0.2)),
-    ("bounds", "core", "both call", (0.65, 0.0)),
-    ("bag", "offline", "read", (0.4, 0.0)),
-    ("offline", "core", "call", (-0.1, 0.2)),
+# The rooms of the core, each of which may know those to its left.
+CORE = (
+    "linalg",
+    "settings",
+    "models",
+    "association",
+    "pmb",
+    "pcrb",
+    "monitoring",
+    "session",
 )
+# From a room to those that it knows; it also knows what they know.
+ARROWS = {
+    "cli": ("lab",),
+    "lab": ("nodes", "offline"),
+    "nodes": ("simulation",),
+    "offline": ("simulation",),
+    "simulation": ("system", "messages"),
+    "system": ("core",),
+    "messages": ("core", "bag"),
+}
 
 
 def architecture(axes: Any) -> None:
-    """Nodes convert and publish, one core computes; offline commands call the same core."""
-    axes.set(xlim=(-0.3, 15), ylim=(0.7, 6.1))
+    """The rooms of the package, and which know which."""
+    axes.set(xlim=(-0.6, 12.8), ylim=(-0.1, 9.3))
     axes.axis("off")
-    frames = {}
-    for name, (text, (x, y), colour) in BOXES.items():
-        look = {"boxstyle": "round,pad=0.5", "fc": colour, "ec": "0.4"}
-        drawn = axes.text(x, y, text, ha="center", va="center", bbox=look)
+    frames = {"core": _core(axes)}
+    for name, (text, (x, y), colour) in ROOMS.items():
+        look = {"boxstyle": "round,pad=0.4", "fc": colour, "ec": "0.4"}
+        label = f"$\\bf{{{name}}}$\n{text}"
+        drawn = axes.text(x, y, label, ha="center", va="center", bbox=look, fontsize=9)
         frames[name] = drawn.get_bbox_patch()
-    for start, end, label, shift in ARROWS:
-        look = {
-            "arrowstyle": "-|>",
-            "color": "0.25",
-            "patchA": frames[start],
-            "patchB": frames[end],
-            "shrinkA": 0,
-            "shrinkB": 0,
-        }
-        places = BOXES[start][1], BOXES[end][1]
-        axes.annotate("", places[1], places[0], arrowprops=look)
-        at = np.mean(places, axis=0) + shift
-        axes.text(*at, label, color="0.35", fontsize=9, ha="center", va="center")
+    centres = {name: where for name, (_, where, _) in ROOMS.items()}
+    for room, known in ARROWS.items():
+        for other in known:
+            start, end = centres[room], centres.get(other)
+            # The core is wide: arrows go straight down to it.
+            look = {"arrowstyle": "-|>", "color": "0.25", "patchA": frames[room], "shrinkA": 0}
+            if end is None:
+                end = (start[0], CORE_TOP)
+            else:
+                look["patchB"] = frames[other]
+            axes.annotate("", end, start, arrowprops={**look, "shrinkB": 0})
+    legend = "an arrow: knows the other, and all\nthat the other knows"
+    axes.text(-0.4, 8.6, legend, color="0.35", va="center", fontsize=9)
+    for text, colour, height in (("robot", ROBOT, 7.8), ("laboratory", LABORATORY, 7.3)):
+        axes.plot(-0.25, height, "s", color=colour, mec="0.4", ms=9)
+        axes.text(0.05, height, text, color="0.35", va="center", fontsize=9)
+
+
+CORE_TOP = 1.9
+
+
+def _core(axes: Any) -> Any:
+    """The core with its rooms."""
+    frame = FancyBboxPatch(
+        (-0.4, 0.2), 10.4, CORE_TOP - 0.2, "round,pad=0.0", fc="#e3f1e6", ec="0.4"
+    )
+    axes.add_patch(frame)
+    axes.text(
+        4.8,
+        1.6,
+        "$\\bf{core}$: all mathematics, no ROS; each room may know those to its left",
+        ha="center",
+        va="center",
+        fontsize=9,
+    )
+    left = 0.35
+    for name in CORE:
+        look = {"boxstyle": "round,pad=0.3", "fc": "white", "ec": "0.5"}
+        axes.text(left, 0.75, name, ha="center", va="center", bbox=look, fontsize=8.5)
+        left += 1.27
+    return frame
 
 
 FIGURES = {
     "geometry": (geometry, (9, 6.6)),
     "density": (density, (8, 5)),
-    "architecture": (architecture, (10.5, 4.2)),
+    "architecture": (architecture, (9.5, 6.2)),
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -74,15 +75,31 @@ def test_the_reference_has_the_services_of_the_filter(ros: Ros) -> None:
     assert dict(found) == offered
 
 
-def test_every_function_of_the_equations_names_its_equation() -> None:
-    """The table of equations agrees with the docstrings, or those of the modules."""
+def rows_of_equations() -> list[tuple[str, str]]:
+    """Each equation of the page, and the function beside it."""
     text = (DOCS / "equations.rst").read_text("utf-8")
-    rows = re.findall(r"\* - (eqs?\. .+)\n +- .+\n +- ``([\w.]+)``", text)
-    assert len(rows) >= 9
-    for equation, path in rows:
-        module_name, _, name = path.rpartition(".")
-        function: Any = getattr(importlib.import_module(module_name), name)
-        assert equation in function.__doc__, path
+    return re.findall(r"\* - ((?:EK-PMBM )?(?:eqs?\.|Section) .+)\n +- .+\n +- ``([\w.]+)``", text)
+
+
+@pytest.mark.parametrize(("equation", "path"), rows_of_equations(), ids=str)
+def test_every_function_of_the_equations_names_its_equation(equation: str, path: str) -> None:
+    """The tables of equations agree with the docstrings."""
+    module_name, _, name = path.rpartition(".")
+    function: Any = getattr(importlib.import_module(module_name), name)
+    assert re.search(rf"(?<!EK-PMBM ){re.escape(equation)}", function.__doc__)
+
+
+def test_every_equation_of_the_paper_has_its_function() -> None:
+    """All 32, but for the signal and the definition of the bound; another paper's are named so."""
+    told: set[int] = set()
+    for equation, _ in rows_of_equations():
+        if not equation.startswith("EK-PMBM"):
+            for first, last in re.findall(r"\((\d+)\)(?:-\((\d+)\))?", equation):
+                told |= {*range(int(first), int(last or first) + 1)}
+    assert told == {*range(1, 33)} - {2, 13, 14, 15, 16}
+    sources = (ROOT / "dopslam_ros" / "core" / "pmb").glob("*.py")
+    for file in sources:  # (22) and (23) are information in the one paper, weights in the other
+        assert not re.search(r"(?<!EK-PMBM )eqs?\. \(2[234]\)", file.read_text("utf-8")), file
 
 
 def test_figures_are_drawn_by_their_command(tmp_path: Path) -> None:
@@ -101,13 +118,43 @@ def test_figures_are_drawn_by_their_command(tmp_path: Path) -> None:
         assert np.abs(ours - theirs).mean() < 0.02  # another version sets letters otherwise
 
 
+def test_the_picture_of_the_rooms_is_true() -> None:
+    """Its arrows, and those that follow from them, are the ones that a test holds."""
+    picture = runpy.run_path(str(DOCS / "draw.py"))
+    held = runpy.run_path(str(ROOT / "tests" / "test_architecture.py"))
+
+    def known(room: str) -> set[str]:
+        found = set(picture["ARROWS"].get(room, ()))
+        return found.union(*map(known, found))
+
+    assert {room: known(room) for room in (*picture["ROOMS"], "core")} == held["ROOMS"]
+    assert picture["CORE"] == held["CORE"]
+
+
+def test_the_rooms_and_files_that_the_architecture_names_are_there() -> None:
+    """Folders, files and modules."""
+    text = (DOCS / "architecture.rst").read_text("utf-8")
+    package = ROOT / "dopslam_ros"
+    rooms = re.findall(r"^   \* - ``([\w/]+)``$", text, re.M)
+    tops = {room.split("/")[0] for room in rooms}
+    assert tops == {folder.parent.name for folder in package.glob("*/__init__.py")}
+    for room in rooms:
+        assert (package / room / "__init__.py").is_file(), room
+    for name in re.findall(r"``((?:core|messages|cli)[./][\w./]*)``", text):
+        path = package / (name if "/" in name else name.replace(".", "/"))
+        assert path.exists() or path.with_suffix(".py").is_file(), name
+    labs = text.partition("* - ``lab``")[2].partition("* -")[0]
+    folders = {folder.parent.name for folder in (package / "lab").glob("*/__init__.py")}
+    assert set(re.findall(r"``(\w+)``", labs)) == folders
+
+
 def test_what_is_said_of_health_is_what_the_code_does() -> None:
     """Every threshold and every figure in the page's section."""
     page = (DOCS / "using.rst").read_text("utf-8")
     section = page.partition("Whether to believe it")[2].partition("Maps that are kept")[0]
     for text in (
-        f"``doubt`` reached {health.WARN_AT:g}:",
-        f"``doubt`` reached {health.LOST_AT:g},",
+        f"``cusum`` reached {health.WARN_AT:g}:",
+        f"``cusum`` reached {health.LOST_AT:g},",
         f"``health_position_std`` ({FilterParameters().health_position_std:g} m)",
         f"``nis_deviations`` is above {health.MORE_THAN_CHANCE:g}",
         f"are {health.MORE_THAN_CHANCE:g} standard deviations",

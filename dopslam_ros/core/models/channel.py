@@ -51,7 +51,7 @@ def observe(
     bs_position: FloatArray,
     ue_height: float = 0.0,
 ) -> Paths:
-    """h(x, s) of eqs. (4)-(11) with the Jacobians A and B of Section III-C.
+    """h(x, s) of eqs. (4)-(12) with the Jacobians A and B of Section III-C.
 
     A VA is seen in its own direction at its own distance (the mirror image of the BS); its
     departure direction is the arrival direction mirrored at the wall. No incidence point is

@@ -1,4 +1,4 @@
-"""h(x, s) of eqs. (4)-(11), A = dh/ds and B = dh/dx, for one landmark and for many."""
+"""h(x, s) of eqs. (4)-(12), A = dh/ds and B = dh/dx, for one landmark and for many."""
 
 from __future__ import annotations
 
@@ -55,7 +55,10 @@ class Legs(NamedTuple):
 
 @jit
 def legs_of(vehicle: Vec, bs: Vec, landmark: Vec, kind: int) -> Legs:
-    """The geometry of the path over a landmark of some type; its own position for the BS."""
+    """The geometry of the path over a landmark of some type, with its directions, eqs. (5) and (8).
+
+    The landmark of the BS is the BS itself.
+    """
     distance, arrival = unit(between(vehicle, landmark))
     leg, outward = unit(between(bs, vehicle if kind == BS else landmark))
     departure = outward
@@ -107,7 +110,7 @@ def observe_source(
     a: FloatArray,
     b: FloatArray,
 ) -> tuple[bool, bool]:
-    """h(x, s) of eqs. (4)-(11) with A = dh/ds and B = dh/dx, for one landmark.
+    """h(x, s) of eqs. (4)-(12) with A = dh/ds and B = dh/dx, for one landmark.
 
     Args:
         ue: (U,) components of the vehicle (``layout.VEHICLE``).
@@ -233,7 +236,7 @@ def put(gradient: Vec, jacobian: FloatArray, row: int) -> None:
 def differentiate(
     legs: Legs, velocity: Vec, speed_along: float, kind: int, a: FloatArray, b: FloatArray
 ) -> None:
-    """A and B, which are zero so far.
+    """A and B of eq. (19), which are zero so far.
 
     Args:
         legs: of a path that is not degenerate.
@@ -267,6 +270,7 @@ def differentiate_arrival(
 ) -> None:
     """Rows of A and B for the distance to the landmark, the arrival along u, and the Doppler.
 
+    Those of the Doppler are a and b of eqs. (20), (21), as eqs. (24), (25) expand them:
     d(v'u)/dx = (v - (v'u) u) / distance; the vehicle moves h as the landmark does, the other way.
     """
     u, distance = legs.arrival, legs.distance

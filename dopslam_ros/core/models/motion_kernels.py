@@ -47,7 +47,7 @@ def propagate_spans(
     jacobian: FloatArray,
     noise: FloatArray,
 ) -> None:
-    """Moves a state over controls in a row.
+    """Moves a state over controls in a row, by f of eq. (1), with its derivative F and the noise Q.
 
     Args:
         state: (U,) to be moved.

@@ -70,7 +70,7 @@ def initial_bound(initial_covariance: FloatArray) -> BoundState:
 def predict_bound(
     state: BoundState, ue: FloatArray, spans: Sequence[ControlSpan], noise_rate: FloatArray
 ) -> BoundState:
-    """J_prior of eq. (19) as a covariance: Q + F J^-1 F', the map does not move.
+    """J_prior of eq. (17) as a covariance: Q + F J^-1 F', the map does not move.
 
     Args:
         state: before.
@@ -92,7 +92,7 @@ def update_bound(
     noise: FloatArray,
     used: BoolArray,
 ) -> BoundState:
-    """J = J_data + J_prior of eq. (19), J_data from the landmarks that are detected.
+    """J = J_data + J_prior of eq. (17), J_data from the landmarks that are detected.
 
     Args:
         state: predicted.
@@ -127,7 +127,7 @@ def update_bound(
 
 
 def bounds_of(state: BoundState, ids: IntArray) -> Bounds:
-    """PEB, HEB, CEB and, for the landmarks asked for, LEB (below eq. 19)."""
+    """PEB, HEB, CEB and, for the landmarks asked for, LEB (below eq. (17))."""
     leb = np.empty(len(ids))
     covariance, known = floats(state.covariance), integers(state.ids)
     return Bounds(*kernels.read_bounds(covariance, known, integers(ids), leb), leb)

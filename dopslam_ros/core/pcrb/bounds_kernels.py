@@ -173,7 +173,10 @@ def whiten(
     root: FloatArray,
     rows: FloatArray,
 ) -> bool:
-    """Writes sqrt(w) R^-1/2 H L of path m into rows (6, n), zero where it has no component."""
+    """Writes sqrt(w) R^-1/2 H L of path m into rows (6, n), zero where it has no component.
+
+    H is the block row [A ... B ...] of eq. (18).
+    """
     dim, n = rows.shape
     factor = np.empty((dim, dim))
     mask, r, scale = m % len(used), m % len(noise), math.sqrt(weight)

@@ -52,7 +52,7 @@ def propose(density: Density, observed: Observed, speed: float, constants: Const
 
     Starts where the ray of arrival (or of departure) meets the ellipsoid of the delay, then
     Gauss-Newton on all measured components. rho is the Laplace approximation of the integral of
-    lambda p_D N(z; h(x, s), R) over x and s.
+    lambda p_D N(z; h(x, s), R) over x and s, lambda the intensity of eq. (27).
 
     Args:
         density: predicted.

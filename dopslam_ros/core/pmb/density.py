@@ -46,7 +46,7 @@ class Regressions(NamedTuple):
 
 
 class Density(NamedTuple):
-    """A PMB density: a Gaussian over vehicle and landmark components, the rest per landmark.
+    """A PMB density, eqs. (26)-(29): a Gaussian over vehicle and components, the rest per landmark.
 
     A landmark (track) has a component for each type it may still be. The joint vector is
     [s; q_1 ... q_C], q the range and direction of a component in its own frame (see

@@ -50,7 +50,7 @@ def local_weights(
 ) -> LocalWeights:
     """Weights of every path-landmark pair, of misdetections and of new landmarks.
 
-    The BS exists and is of one type.
+    EK-PMBM eqs. (22)-(24). The BS exists and is of one type.
     """
     component_track, type_weight = density.component_track, density.component_weight
     existence, detection, least = density.existence, likelihoods.detection, LOG_TINY
@@ -256,7 +256,8 @@ def split_by_type(
 def associate(component_track: IntArray, weights: LocalWeights, gamma: int) -> Hypotheses:
     """The gamma best associations, those with landmarks of open type split by type.
 
-    The cost of giving path j to track i is -ln(w_ij / w_i0), to a new track -ln w_new,j.
+    Their weights are products of local weights, EK-PMBM eq. (29). So the cost of giving
+    path j to track i is -ln(w_ij / w_i0), and to a new track -ln w_new,j.
 
     Args:
         component_track: (C,) track of each component, ascending.
@@ -279,7 +280,7 @@ def associate(component_track: IntArray, weights: LocalWeights, gamma: int) -> H
 
 
 class LocalWeights(NamedTuple):
-    """Logarithms of the local weights, eqs. (22)-(24) of Ge et al. 2022.
+    """Logarithms of the local weights, EK-PMBM eqs. (22)-(24).
 
     Attributes:
         source: (C + 1, J) detected by path j as source (0 the BS, then components): r u p_D N.

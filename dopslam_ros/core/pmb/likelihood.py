@@ -301,7 +301,8 @@ def innovate(
 ) -> bool:
     """z - h of a pair into innovation[m, j]; whether each component alone is inside the gate.
 
-    The distance in one component is never larger than that in all.
+    Where h is right the innovation is the noise of eq. (3). The distance in one component is never
+    larger than that in all.
     """
     used, values, noise = observed.used, observed.values, observed.noise
     h, covariance = expected.h, expected.covariance

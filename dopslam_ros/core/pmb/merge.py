@@ -120,6 +120,8 @@ def merge_weights(
 def merge(weight: FloatArray, conditioned: Conditioned, constants: Constants) -> Density:
     """One PMB density in place of one under each hypothesis; what is unlikely is dropped.
 
+    This is the step from PMBM to PMB at the end of Section IV-B.
+
     Args:
         weight: (H,) of the hypotheses; of one that has all of it, this is the density under it.
         conditioned: the density under each.

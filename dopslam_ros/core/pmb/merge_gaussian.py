@@ -150,7 +150,7 @@ def subtract_weighted(
 
 @from_python
 def uncouple(covariance: FloatArray, start: IntArray) -> None:
-    """Zeroes (n, n) between the vehicle's block and those of the components, in place."""
+    """Leaves of (n, n) only the blocks, in place: the marginals of eqs. (31), (32)."""
     block = block_numbers(start)
     for i in range(len(block)):
         for j in range(len(block)):

@@ -27,7 +27,7 @@ def step(
     speed: float,
     parameters: FilterParameters,
 ) -> tuple[Posterior, Associations]:
-    """p(s, X | Z_1:k-1) to p(s, X | Z_1:k), Section IV-B; a map that is known has one density only.
+    """p(s, X | Z_1:k-1) to p(s, X | Z_1:k), eq. (30); a map that is known has one density only.
 
     Args:
         state: density after the previous snapshot.
@@ -65,7 +65,10 @@ def advance(
 def predict(
     state: Posterior, spans: Sequence[ControlSpan], parameters: FilterParameters
 ) -> Posterior:
-    """The vehicle moves by f with F P F' + Q; the map is static, its correlation follows F."""
+    """The vehicle moves by f with F P F' + Q; the map is static, its correlation follows F.
+
+    The prediction below eq. (30).
+    """
     if not spans:
         return state
     rows, moved = span_rows(spans), []

@@ -292,7 +292,7 @@ def agreed_update(
 
 @jit_inline
 def condition(about: Linearised, covariance: FloatArray, source: IntArray) -> Updated:
-    """One joint EKF update of [s; q_1 ... q_C] per hypothesis.
+    """One joint EKF update of [s; q_1 ... q_C] per hypothesis (Section IV-B).
 
     Args:
         about: predicted; there may be components behind those that the likelihoods are of.

@@ -342,7 +342,7 @@ def test_the_covariance_stays_one(settings: dict[str, Any]) -> None:
         list(filtering.add_control(s.stamp_ns, s.control.speed, s.control.turn_rate))
         for output in filtering.add_measurements(s.stamp_ns, s.measurements):
             steps += 1
-            for one in output.state.hypotheses:
+            for one in output.state.densities:
                 deviation = np.sqrt(np.diagonal(one.covariance))
                 correlation = one.covariance / np.outer(deviation, deviation)
                 assert np.array_equal(one.covariance, one.covariance.T)
