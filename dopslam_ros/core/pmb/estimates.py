@@ -83,11 +83,11 @@ def _out_of_view(density: Density, grid: InactiveGrid) -> LandmarkEstimates | No
 
 
 def _rows(landmarks: LandmarkEstimates, which: IntArray) -> LandmarkEstimates:
-    return LandmarkEstimates(*(getattr(landmarks, name)[which] for name in _PARTS))
+    return LandmarkEstimates(*[getattr(landmarks, name)[which] for name in _PARTS])
 
 
 def _together(one: LandmarkEstimates, other: LandmarkEstimates | None) -> LandmarkEstimates:
     if other is None:
         return one
-    pairs = ((getattr(one, name), getattr(other, name)) for name in _PARTS)
+    pairs = [(getattr(one, name), getattr(other, name)) for name in _PARTS]
     return LandmarkEstimates(*map(np.concatenate, pairs))
