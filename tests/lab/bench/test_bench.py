@@ -78,7 +78,7 @@ def test_the_map_in_the_filter_is_the_one_given() -> None:
     vehicle = np.diag([*np.square(parameters.initial_std[:2]), 0.0])
     expected = scaling.KNOWN_STD**2 * np.eye(3) + vehicle
     np.testing.assert_allclose(found.covariances, np.tile(expected, (250, 1, 1)), atol=1e-6)
-    assert np.linalg.eigvalsh(state.covariance)[0] > 0.0
+    assert np.linalg.eigvalsh(state.density.covariance)[0] > 0.0
 
 
 def test_tasks_take_turns() -> None:
