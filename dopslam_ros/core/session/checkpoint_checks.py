@@ -20,7 +20,7 @@ from dopslam_ros.core.session.checkpoint import (
     Checkpoint,
     CheckpointError,
 )
-from dopslam_ros.core.settings.layout import UNKNOWN_TYPES
+from dopslam_ros.core.settings.layout import SPACE, UNKNOWN_TYPES
 
 # Nothing that is estimated is farther away [m], in any unit.
 LARGEST = 1e9
@@ -77,8 +77,8 @@ def check_density(density: Density) -> None:
     shapes: dict[str, tuple[int, ...]] = {
         "mean": (int(density.start[-1]),),
         "covariance": (int(density.start[-1]), int(density.start[-1])),
-        "origin": (components, 3),
-        "axes": (components, 3, 3),
+        "origin": (components, SPACE),
+        "axes": (components, SPACE, SPACE),
         "component_track": (components,),
         "component_weight": (components,),
         "track_id": (tracks,),
@@ -165,7 +165,7 @@ def _probabilities(name: str, array: FloatArray) -> None:
 
 def _frames(axes: FloatArray) -> None:
     """Axes must be orthonormal."""
-    off = np.swapaxes(axes, 1, 2) @ axes - np.eye(3)
+    off = np.swapaxes(axes, 1, 2) @ axes - np.eye(SPACE)
     _need(bool((np.abs(off) < ROUNDING).all()), "axes are not at right angles")
 
 

@@ -30,7 +30,7 @@ from dopslam_ros.core.pmb.density import Density, Undetected
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks
 from dopslam_ros.core.session.checkpoint import Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_checks import check_checkpoint
-from dopslam_ros.core.settings.layout import ANGLES, LANDMARK_SIZES
+from dopslam_ros.core.settings.layout import ANGLES, LANDMARK_SIZES, SP, SPACE, VA
 
 Array = FloatArray | IntArray
 Buffer = bytes | Array
@@ -48,20 +48,21 @@ _TYPES: Mapping[str, Any] = {"<f8": np.float64, "<i8": np.int64}
 _KNOWN = ("vehicle", "start", "undetected", "next_id")
 # What is an array of its own.
 _DENSITY = tuple(n for n in Density._fields if n not in _KNOWN)
-# Shape of what belongs to one inactive landmark; A anchors.
+_OWN, _ANCHOR = LANDMARK_SIZES[SP], LANDMARK_SIZES[VA]
+# Shape of what belongs to one inactive landmark; what is negative is so for each anchor.
 _INACTIVE: Mapping[str, tuple[int, ...]] = {
     "track_id": (),
     "existence": (),
     "reactivation_distance": (),
-    "position": (3,),
-    "origin": (3,),
-    "axes": (3, 3),
-    "q": (3,),
-    "covariance": (3, 3),
+    "position": (SPACE,),
+    "origin": (SPACE,),
+    "axes": (SPACE, SPACE),
+    "q": (_OWN,),
+    "covariance": (_OWN, _OWN),
     "anchors": (-1,),
-    "anchor_q": (-3,),
-    "gain": (3, -3),
-    "residual": (3, 3),
+    "anchor_q": (-_ANCHOR,),
+    "gain": (_OWN, -_ANCHOR),
+    "residual": (_OWN, _OWN),
 }
 # What has another name in the file, which is older.
 _NAMES_IN_FILE = {"reactivation_distance": "reach"}
