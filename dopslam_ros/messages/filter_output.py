@@ -96,24 +96,31 @@ class FilterMessages:
         pose: Any,
         mean: FloatArray,
         covariance: FloatArray,
-    ) -> Iterator[Message]:
+    ) -> list[Message]:
+        """Its pose, state and odometry, and the transform if it is wanted."""
         types, frames = self.types, self.frames
         with_covariance = types("geometry_msgs/msg/PoseWithCovariance")(
             pose=pose, covariance=_pose_covariance(covariance)
         )
-        yield topics.UE_POSE, types(topics.UE_POSE.type_name)(header=header, pose=with_covariance)
-        yield topics.UE_STATE, make_ue_state(types, output.stamp_ns, mean, covariance, frames)
+        stamped = types(topics.UE_POSE.type_name)(header=header, pose=with_covariance)
+        state = make_ue_state(types, output.stamp_ns, mean, covariance, frames)
         twist = types("geometry_msgs/msg/TwistWithCovariance")(
             twist=make_twist(types, output.control), covariance=np.zeros(36)
         )
         odometry = types(topics.ODOMETRY.type_name)(
             header=header, child_frame_id=frames.base, pose=with_covariance, twist=twist
         )
-        yield topics.ODOMETRY, odometry
+        found: list[Message] = [
+            (topics.UE_POSE, stamped),
+            (topics.UE_STATE, state),
+            (topics.ODOMETRY, odometry),
+        ]
         if self.transforms:
-            yield topics.TF, self._transform(header, pose)
+            found.append((topics.TF, self._transform(header, pose)))
+        return found
 
-    def _path(self, output: FilterOutput, header: Any, pose: Any) -> Iterator[Message]:
+    def _path(self, output: FilterOutput, header: Any, pose: Any) -> list[Message]:
+        """The path, now and then."""
         time_ns = output.stamp_ns
         if output.anew:
             self._poses.clear()
@@ -121,9 +128,11 @@ class FilterMessages:
             stamped = self.types("geometry_msgs/msg/PoseStamped")(header=header, pose=pose)
             self._poses.append(stamped)
             del self._poses[: -self.drawing.path_poses]
-        if self._due(topics.PATH.name, time_ns, self.drawing.path_period):
-            path = self.types(topics.PATH.type_name)(header=header, poses=list(self._poses))
-            yield topics.PATH, path
+        if not self._due(topics.PATH.name, time_ns, self.drawing.path_period):
+            return []
+        return [
+            (topics.PATH, self.types(topics.PATH.type_name)(header=header, poses=[*self._poses]))
+        ]
 
     def _transform(self, header: Any, pose: Any) -> Any:
         """The vehicle's frame in that of the map."""

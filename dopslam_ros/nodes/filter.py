@@ -111,7 +111,7 @@ class FilterNode(DopslamNode):
                     "sets_waiting",
                     self._session.pending + self._inbox.waiting(topics.CHANNEL_MEASUREMENTS.name),
                 ),
-                ("landmarks", len(state.best.all_track_ids)),
+                ("landmarks", len(state.landmark_ids)),
                 ("step_ms_median", f"{np.median(steps):.3f}"),
                 ("step_ms_max", f"{steps.max():.3f}"),
                 ("smallest_eigenvalue", f"{smallest:.3e}"),

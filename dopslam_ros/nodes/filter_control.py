@@ -133,7 +133,7 @@ class FilterControl:
         def save() -> str:
             known = self._session.known_map()
             response.path = str(self._store.write(request.name, known))
-            count = len(known.mixture.best.all_track_ids)
+            count = len(known.posterior.landmark_ids)
             return f"{count} landmarks saved in '{response.path}'"
 
         return self._answer(response, save)
@@ -141,7 +141,7 @@ class FilterControl:
     def _on_load(self, request: Any, response: Any) -> Any:
         def load() -> str:
             response.path = self._load(request.name)
-            count = len(self._session.state.best.all_track_ids)
+            count = len(self._session.state.landmark_ids)
             return f"{count} landmarks loaded from '{response.path}'"
 
         return self._answer(response, load)

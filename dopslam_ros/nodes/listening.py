@@ -32,7 +32,7 @@ def listening(
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor(context=context)
-    node = Node(f"dopslam_watch_{os.getpid()}", context=context, enable_rosout=False)
+    node = Node(f"dopslam_listener_{os.getpid()}", context=context, enable_rosout=False)
     try:
         for name, topic in names.items():
             node.create_subscription(

@@ -24,7 +24,7 @@ from dopslam_ros.nodes.node_parameters import Changes, declared, unknown
 
 P = TypeVar("P")
 DIAGNOSTICS_PERIOD = 1.0
-# How often a kind of trouble is written to the log at most [s].
+# How often a kind of problem is written to the log at most [s].
 LOG_PERIOD = 5.0
 # The reason that is given for messages that the middleware lost.
 LOST = "lost_by_middleware"
@@ -34,7 +34,7 @@ class DopslamNode(Node):
     """A node with checked parameters and diagnostics.
 
     Attributes:
-        problems: how often each kind of input was refused, or other trouble was met.
+        problems: how often each kind of input was refused, or another problem was met.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -55,7 +55,7 @@ class DopslamNode(Node):
             StartError: a value given at start cannot be used.
         """
         parameters = declared(self, kind)
-        self._changes.watch(parameters)
+        self._changes.add(parameters)
         for name in unknown(self):
             self.get_logger().warning(
                 f"parameter '{name}' is given but unknown to this node, and ignored"

@@ -63,8 +63,8 @@ class Changes:
         self._changed = changed
         self._sets: list[Any] = []
 
-    def watch(self, parameters: Any) -> None:
-        """From now on these are the values."""
+    def add(self, parameters: Any) -> None:
+        """Parameters that may change, with their values now."""
         self._sets.append(parameters)
 
     def check(self, changes: list[Parameter]) -> SetParametersResult:

@@ -27,7 +27,7 @@ class Replay:
         bounds: by stamp [ns].
         truth: (U,) true states by stamp [ns].
         true_map: the true landmarks, if the bag has them.
-        problems: how often each kind of input was refused, or other trouble was met.
+        problems: how often each kind of input was refused, or another problem was met.
         damage: what of the bag could not be read, in a sentence.
         known_map: the map at the end.
     """

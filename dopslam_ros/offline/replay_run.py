@@ -52,7 +52,7 @@ class ReplayRun:
         self._pending_states: list[tuple[int, FloatArray]] = []
 
     def feed(self, message: BagMessage, topic: topics.Topic) -> None:
-        """One input; trouble with it is counted."""
+        """One input; a problem with it is counted."""
         self._time_ns = message.log_time_ns
         if self._writer is not None:
             self._writer.write(

@@ -20,7 +20,7 @@ from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control
 from dopslam_ros.core.monitoring.pose_problem import Clock
 from dopslam_ros.core.monitoring.pose_search import solutions
-from dopslam_ros.core.pmb import FilterParameters, initial_filter_state
+from dopslam_ros.core.pmb import FilterParameters, initial_posterior
 from dopslam_ros.core.pmb import coordinates_kernels as coordinates
 from dopslam_ros.core.pmb import inactive_kernels as inactive
 from dopslam_ros.core.pmb.birth import Births
@@ -33,7 +33,15 @@ from dopslam_ros.core.pmb.step_kernels import DataAssociation, condition_on, pos
 from dopslam_ros.core.session.bounding import BoundsSession, WorldState
 from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.core.settings.bounding import BoundsParameters
-from dopslam_ros.core.settings.layout import DIM, LARGEST_LANDMARK, VEHICLE, LandmarkType, X, Y
+from dopslam_ros.core.settings.layout import (
+    DIM,
+    LARGEST_LANDMARK,
+    SPACE,
+    VEHICLE,
+    LandmarkType,
+    X,
+    Y,
+)
 from dopslam_ros.core.settings.model import ModelParameters
 from dopslam_ros.core.settings.parameters import shared_values
 from dopslam_ros.simulation.scenario import Scenario
@@ -67,18 +75,19 @@ def touch_the_rest() -> None:
     This is what the second process compiles, from the end, while the first begins at the start.
     """
     parameters = FilterParameters()
-    state, constants = initial_filter_state(parameters), parameters.constants
+    state, constants = initial_posterior(parameters), parameters.constants
+    density = state.density
     nothing = MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM)))
     observed, association = prepare(nothing, parameters), _nothing_heard()
-    updated = condition_on(state.density, association, association.born.kept, observed, constants)
+    updated = condition_on(density, association, association.born.kept, observed, constants)
     posterior(association.hypotheses.weight, updated, constants)
-    block_starts(len(state.ue_mean), state.component_type)
-    inactive.left_behind(state.density, constants.sp_field_of_view)
-    inactive.to_reactivate(np.zeros((0, 3)), np.zeros(0), state.ue_mean[:2], 0.0)
-    none, nobody = np.zeros((0, 3)), np.zeros((0, 3, 3))
+    block_starts(len(density.vehicle), density.component_type)
+    inactive.left_behind(density, constants.sp_field_of_view)
+    inactive.to_reactivate(np.zeros((0, SPACE)), np.zeros(0), density.ue_mean[[X, Y]], 0.0)
+    none, nobody = np.zeros((0, SPACE)), np.zeros((0, SPACE, SPACE))
     regressions = Regressions(np.zeros((0, 1), np.int64), none, nobody, none, nobody, nobody)
-    inactive.reactivated(state.density, regressions)
-    inactive.current(state.density, regressions)
+    inactive.reactivated(density, regressions)
+    inactive.current(density, regressions)
     coordinates.in_space(none, nobody, none, nobody)
     solutions(state, observed, 0.0, Clock(0.0, 1.0), parameters)
 

@@ -184,8 +184,8 @@ def test_messages_that_cannot_be_used_leave_no_trace(
     each = COUNT // len(good) + 1
     for topic, payload in good:
         expected, found = take(clean, topic, payload), take(troubled, topic, payload)
-        assert [o.state.best.mean.tobytes() for o in found] == [
-            o.state.best.mean.tobytes() for o in expected
+        assert [o.state.density.mean.tobytes() for o in found] == [
+            o.state.density.mean.tobytes() for o in expected
         ]
         time = stamp_ns(deserialize(payload, topic.type_name).header)
         for _ in range(each):
@@ -205,8 +205,8 @@ def test_messages_that_cannot_be_used_leave_no_trace(
     assert {"implausible_value", "duplicate_stamp", "malformed_message", "no_stamp"} <= set(reasons)
     assert {"invalid_control", "too_many_paths", "covariance_not_finite"} <= set(reasons)
     assert set(troubled.problems) <= {UNCONFIRMED}
-    assert troubled.state.best.covariance.tobytes() == clean.state.best.covariance.tobytes()
-    assert troubled.state.best.existence.tobytes() == clean.state.best.existence.tobytes()
+    assert troubled.state.density.covariance.tobytes() == clean.state.density.covariance.tobytes()
+    assert troubled.state.density.existence.tobytes() == clean.state.density.existence.tobytes()
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -268,7 +268,7 @@ def test_ten_thousand_paths_are_not_even_read(good: list[tuple[topics.Topic, byt
 
 def check_numbers(output: FilterOutput) -> None:
     """All is finite, and the covariance is one."""
-    best = output.state.best
+    best = output.state.density
     assert np.isfinite(best.mean).all() and np.isfinite(best.existence).all()
     scale = np.sqrt(np.diagonal(best.covariance))
     correlation = best.covariance / np.outer(scale, scale)

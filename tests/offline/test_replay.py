@@ -210,7 +210,7 @@ def test_no_truth_no_errors(live: LiveRun, tmp_path: Path) -> None:
     assert all(np.isnan(record.error).all() for record in run.records())
     judged = replay(BagReader(live.bag))
     assert all(
-        np.array_equal(a.state.best.mean, b.state.best.mean)
+        np.array_equal(a.state.density.mean, b.state.density.mean)
         for a, b in zip(run.outputs, judged.outputs, strict=True)
     )
     assert all(np.isfinite(record.error).all() for record in judged.records())

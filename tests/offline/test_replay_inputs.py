@@ -61,8 +61,8 @@ def same(one: Replay, other: Replay) -> bool:
     return (
         [o.stamp_ns for o in one.outputs] == [o.stamp_ns for o in other.outputs]
         and all(
-            np.array_equal(a.state.best.mean, b.state.best.mean)
-            and np.array_equal(a.state.best.covariance, b.state.best.covariance)
+            np.array_equal(a.state.density.mean, b.state.density.mean)
+            and np.array_equal(a.state.density.covariance, b.state.density.covariance)
             for a, b in zip(one.outputs, other.outputs, strict=True)
         )
         and one.parameters == other.parameters
@@ -137,7 +137,7 @@ def test_a_bag_that_is_cut_off(simulated: Path, tmp_path: Path, part: float) -> 
     assert run.damage is not None and "dopslam recover" in run.damage
     # The last step may lack its control; those before are the same.
     for ours, theirs in zip(run.outputs[:-1], complete.outputs, strict=False):
-        assert np.array_equal(ours.state.best.mean, theirs.state.best.mean)
+        assert np.array_equal(ours.state.density.mean, theirs.state.density.mean)
 
 
 def test_an_empty_bag(tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_a_topic_that_is_missing(simulated: Path, tmp_path: Path, missing: topic
         return
     run = replay(reader)
     assert len(run.outputs) == len(run.bounds) == STEPS
-    assert all(np.isfinite(o.state.best.mean).all() for o in run.outputs)
+    assert all(np.isfinite(o.state.density.mean).all() for o in run.outputs)
     assert bool(run.problems) == (missing == topics.ODOMETRY_CONTROL)
 
 

@@ -49,7 +49,7 @@ for snapshot in simulate(scenario, np.random.default_rng(1)):
     control = snapshot.control
     list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
     for output in session.add_measurements(snapshot.stamp_ns, snapshot.measurements):
-        inactive += len(output.state.best.inactive) > 0 and len(output.landmarks.ids) > 0
+        inactive += len(output.state.inactive[0]) > 0 and len(output.landmarks.ids) > 0
 print("new:", [name for name, count in known().items() if count != before[name]])
 print("slept:", inactive > 0)
 """

@@ -44,8 +44,8 @@ def _describe(saved: Checkpoint) -> dict[str, Any]:
     from dopslam_ros.core.session.checkpoint_file import VERSION
     from dopslam_ros.core.settings.layout import LandmarkType
 
-    best, parameters = saved.mixture.best, _parameters(saved)
-    everything = reported_landmarks(best, parameters)
+    state, parameters = saved.posterior, _parameters(saved)
+    everything = reported_landmarks(state, parameters)
     landmarks = [
         {
             "id": int(everything.ids[n]),
@@ -57,17 +57,17 @@ def _describe(saved: Checkpoint) -> dict[str, Any]:
         for n in range(len(everything.ids))
     ]
     vehicle = {
-        "state": saved.mixture.ue_mean.tolist(),
-        "std": np.sqrt(np.diagonal(saved.mixture.ue_covariance)).tolist(),
+        "state": state.ue_mean.tolist(),
+        "std": np.sqrt(np.diagonal(state.ue_covariance)).tolist(),
     }
     return {
         "kind": saved.kind,
         "version": VERSION,
         "checksum": "ok",
         "stamp_ns": None if saved.stamp_ns == BEFORE_ALL else saved.stamp_ns,
-        "tracks": len(best.all_track_ids),
-        "tracks_out_of_view": len(best.inactive),
-        "hypotheses": len(saved.mixture.hypotheses),
+        "tracks": len(state.landmark_ids),
+        "tracks_out_of_view": len(state.inactive[0]),
+        "hypotheses": len(state.densities),
         "parameters": dict(saved.parameters),
         "landmarks": landmarks,
         **({"vehicle": vehicle} if saved.kind == SNAPSHOT else {}),

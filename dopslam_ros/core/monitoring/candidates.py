@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
 from dopslam_ros.core.monitoring.pose_problem import Clock
 from dopslam_ros.core.monitoring.pose_search import fixes, same_pose
-from dopslam_ros.core.pmb import FilterParameters, Mixture, MixtureStep, mixture_step
+from dopslam_ros.core.pmb import Associations, FilterParameters, Posterior, step
+from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.step import predict
 from dopslam_ros.core.settings.layout import CLOCK_BIAS
 
@@ -30,11 +30,13 @@ class Candidate:
     """A pose that the vehicle may have, with a filter that goes on from there.
 
     Attributes:
-        outcome: of the filter's last step.
+        posterior: after the filter's last step.
+        associations: of that step.
         log_weight: ln of the probability of all sets since, and of the pose.
     """
 
-    outcome: MixtureStep
+    posterior: Posterior
+    associations: Associations
     log_weight: float
 
 
@@ -50,7 +52,7 @@ class Lost:
         sets: how many there were.
     """
 
-    reckoned: Mixture
+    reckoned: Posterior
     trusted: bool
     candidates: tuple[Candidate, ...] = ()
     log_nothing: float = 0.0
@@ -59,7 +61,7 @@ class Lost:
 
 def carried_on(
     lost: Lost,
-    measurements: MeasurementSet,
+    observed: Observed,
     spans: Sequence[ControlSpan],
     speed: float,
     parameters: FilterParameters,
@@ -68,11 +70,11 @@ def carried_on(
     found: list[Candidate] = []
     for one in lost.candidates:
         try:
-            outcome = mixture_step(one.outcome.state, measurements, spans, speed, parameters)
+            posterior, associations = step(one.posterior, observed, spans, speed, parameters)
         except np.linalg.LinAlgError:
             continue
-        weight = one.log_weight + outcome.associations.log_evidence
-        found.append(Candidate(outcome, weight))
+        weight = one.log_weight + associations.log_evidence
+        found.append(Candidate(posterior, associations, weight))
     return found
 
 
@@ -81,36 +83,32 @@ def moved_on(
 ) -> tuple[Candidate, ...]:
     """The candidates after a set without paths: moved on by dead reckoning."""
     return tuple(
-        Candidate(
-            replace(one.outcome, state=dead_reckoned(one.outcome.state, spans, parameters)),
-            one.log_weight,
-        )
-        for one in lost.candidates
+        replace(one, posterior=predict(one.posterior, spans, parameters)) for one in lost.candidates
     )
 
 
 def proposed(
     lost: Lost,
-    reckoned: Mixture,
-    measurements: MeasurementSet,
+    reckoned: Posterior,
+    observed: Observed,
     speed: float,
     parameters: FilterParameters,
 ) -> list[Candidate]:
     """New candidates: what the set says, and the pose by dead reckoning."""
     found: list[Candidate] = []
-    base = reckoned.best
-    std = CLOCK_FACTOR * float(np.sqrt(base.ue_covariance[CLOCK_BIAS, CLOCK_BIAS]))
-    clock = Clock(float(base.ue_mean[CLOCK_BIAS]), max(std, CLOCK_STD))
-    for fix in fixes(base, measurements, speed, clock, parameters):
-        outcome = MixtureStep(Mixture((fix.step.state,), np.ones(1)), fix.step.associations)
-        found.append(Candidate(outcome, lost.log_nothing + fix.log_evidence))
+    vehicle = reckoned.density
+    std = CLOCK_FACTOR * float(np.sqrt(vehicle.ue_covariance[CLOCK_BIAS, CLOCK_BIAS]))
+    clock = Clock(float(vehicle.ue_mean[CLOCK_BIAS]), max(std, CLOCK_STD))
+    for fix in fixes(reckoned, observed, speed, clock, parameters):
+        weight = lost.log_nothing + fix.log_evidence
+        found.append(Candidate(fix.posterior, fix.associations, weight))
     if lost.trusted:
         try:
-            outcome = mixture_step(reckoned, measurements, (), speed, parameters)
+            posterior, associations = step(reckoned, observed, (), speed, parameters)
         except np.linalg.LinAlgError:
             return found
-        weight = lost.log_nothing + LOG_RECKONED + outcome.associations.log_evidence
-        found.append(Candidate(outcome, weight))
+        weight = lost.log_nothing + LOG_RECKONED + associations.log_evidence
+        found.append(Candidate(posterior, associations, weight))
     return found
 
 
@@ -122,20 +120,12 @@ def worth_keeping(candidates: Sequence[Candidate], nothing: float) -> tuple[Cand
         if len(kept) == MOST_CANDIDATES or not one.log_weight > nothing - HOPELESS:
             break
         if one.log_weight > order[0].log_weight - HOPELESS and not any(
-            _same(one.outcome.state, other.outcome.state) for other in kept
+            _same(one.posterior, other.posterior) for other in kept
         ):
             kept.append(one)
     return tuple(kept)
 
 
-def _same(one: Mixture, other: Mixture) -> bool:
+def _same(one: Posterior, other: Posterior) -> bool:
     covariance = one.ue_covariance + other.ue_covariance
     return same_pose(one.ue_mean.copy(), other.ue_mean, covariance)
-
-
-def dead_reckoned(
-    state: Mixture, spans: Sequence[ControlSpan], parameters: FilterParameters
-) -> Mixture:
-    """Dead reckoning: the vehicle moved on by the controls, the map as it was."""
-    moved = tuple(predict(one, spans, parameters) for one in state.hypotheses)
-    return replace(state, hypotheses=moved)

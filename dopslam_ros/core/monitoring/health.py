@@ -13,12 +13,10 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-import numpy as np
-
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.monitoring.cusum import SetStatistics, set_statistics
 from dopslam_ros.core.pmb import Associations, FilterParameters
+from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.settings.layout import X, Y
 
 # CUSUM [nat] from which on it is told, and from which on the vehicle counts as lost.
@@ -121,24 +119,23 @@ HEALTHY = Health()
 
 def statistics_of(
     associations: Associations,
-    measurements: MeasurementSet,
+    observed: Observed,
     parameters: FilterParameters,
 ) -> SetStatistics:
     """What a set says of whether the filter knows where it is.
 
     Args:
         associations: of the set.
-        measurements: the set.
+        observed: the set.
         parameters: of the filter.
     """
-    used = np.isfinite(measurements.values) & parameters.used_components
     return set_statistics(
         associations.ids,
         associations.weight,
         associations.sources,
         associations.log_missed,
         associations.log_new,
-        -(used @ parameters.clutter_log_spans),
+        -(observed.used @ parameters.clutter_log_spans),
         float(parameters.clutter_mean),
     )
 

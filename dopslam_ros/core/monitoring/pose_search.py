@@ -17,14 +17,13 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, wrap_angle
 from dopslam_ros.core.models.detection import log_clutter_intensity
-from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.monitoring.pose_problem import POSE, Clock, Landmarks, Paths, Problem
 from dopslam_ros.core.monitoring.pose_search_kernels import locate
-from dopslam_ros.core.pmb import FilterParameters, FilterState, Step
+from dopslam_ros.core.pmb import Associations, FilterParameters, Posterior
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
+from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.inactive import current_in_space, reactivate
 from dopslam_ros.core.pmb.likelihood import Observed
-from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.pmb.step import update
 from dopslam_ros.core.settings.filtering import gates
 from dopslam_ros.core.settings.layout import (
@@ -58,18 +57,20 @@ class Fix:
     """A pose the vehicle may have.
 
     Attributes:
-        step: the filter's step from there.
+        posterior: after the filter's step from there.
+        associations: of that step.
         log_evidence: ln of the probability of the set and of the pose, in the scale of
             ``Associations.log_evidence``.
     """
 
-    step: Step
+    posterior: Posterior
+    associations: Associations
     log_evidence: float
 
 
 def fixes(
-    base: FilterState,
-    measurements: MeasurementSet,
+    base: Posterior,
+    observed: Observed,
     speed: float,
     clock: Clock,
     parameters: FilterParameters,
@@ -77,8 +78,8 @@ def fixes(
     """The poses that one set allows, the likeliest first.
 
     Args:
-        base: the map; its vehicle does not count.
-        measurements: the set.
+        base: the map, that of the likeliest hypothesis; its vehicle does not count.
+        observed: the set.
         speed: v [m/s].
         clock: what is known of the clock.
         parameters: models and settings.
@@ -86,7 +87,6 @@ def fixes(
     Raises:
         LinAlgError: the numbers allow no answer.
     """
-    observed = prepare(measurements, parameters)
     poses, covariances, log_odds = solutions(base, observed, speed, clock, parameters)
     found: list[Fix] = []
     for n in distinct(poses, covariances, log_odds)[:MOST_POSES]:
@@ -94,16 +94,20 @@ def fixes(
         prior = -0.5 * off * off - math.log(math.sqrt(2.0 * math.pi) * clock.std)
         prior -= math.log(2.0 * math.pi * AREA)
         volume = 0.5 * float(np.linalg.slogdet(2.0 * math.pi * covariances[n])[1])
-        here = reactivate(with_pose(base, poses[n], POINT * covariances[n]), parameters)
+        here = with_pose(base.density, poses[n], POINT * covariances[n])
+        here, inactive = reactivate(here, base.inactive[0], parameters)
         # The linearisation and the associations are those at the solution, the prior is none.
         wide = with_pose_unknown(here, poses[n])
-        step = update(here, wide, observed, speed, parameters, births=False)
-        found.append(Fix(step, step.associations.log_evidence + volume + prior))
+        posterior, associations = update(
+            here, wide, inactive, observed, speed, parameters, births=False
+        )
+        log_evidence = associations.log_evidence + volume + prior
+        found.append(Fix(posterior, associations, log_evidence))
     return sorted(found, key=lambda fix: -fix.log_evidence)
 
 
 def solutions(
-    base: FilterState,
+    base: Posterior,
     observed: Observed,
     speed: float,
     clock: Clock,
@@ -149,7 +153,7 @@ def same_pose(one: FloatArray, other: FloatArray, covariance: FloatArray) -> boo
     return bool(off @ np.linalg.solve(covariance, off) < SAME)
 
 
-def with_pose(base: FilterState, pose: FloatArray, covariance: FloatArray) -> FilterState:
+def with_pose(base: Density, pose: FloatArray, covariance: FloatArray) -> Density:
     """p(s) p(X): the same map with the vehicle at a pose (4,) that is independent of it.
 
     What else is known of the vehicle stays, but is independent of pose and map, too.
@@ -161,37 +165,36 @@ def with_pose(base: FilterState, pose: FloatArray, covariance: FloatArray) -> Fi
     mean[list(POSE)] = pose
     joint[:vehicle], joint[:, :vehicle] = 0.0, 0.0
     joint[:vehicle, :vehicle] = own
-    return base.but(mean=mean, covariance=joint)
+    return base._replace(mean=mean, covariance=joint)
 
 
-def with_pose_unknown(base: FilterState, pose: FloatArray) -> FilterState:
+def with_pose_unknown(base: Density, pose: FloatArray) -> Density:
     """The same map with the vehicle anywhere, nominally at a pose (4,)."""
     return with_pose(base, pose, np.diag(np.square(ANYWHERE)))
 
 
-def log_lost(measurements: MeasurementSet, parameters: FilterParameters) -> float:
+def log_lost(observed: Observed, parameters: FilterParameters) -> float:
     """ln of the probability of a set of which nothing is foreseen, scaled as for ``Fix``.
 
     All paths are uniform over the box of clutter, as many as came.
     """
-    observed = prepare(measurements, parameters)
-    expected = max(len(measurements) - parameters.clutter_mean, 1.0)
+    expected = max(len(observed.values) - parameters.clutter_mean, 1.0)
     log_rate = math.log(expected + parameters.clutter_mean)
     return float((log_rate - observed.used @ parameters.clutter_log_spans).sum()) - expected
 
 
-def _known_landmarks(base: FilterState, parameters: FilterParameters) -> Landmarks:
+def _known_landmarks(base: Posterior, parameters: FilterParameters) -> Landmarks:
     """The BS, the components active and those inactive, each where it is now."""
-    probability = base.existence[base.component_track] * base.component_weight
+    density, inactive = base.density, base.inactive[0].landmarks
+    probability = density.existence[density.component_track] * density.component_weight
     likely = probability > LIKELY
-    active, active_covariance = components_in_space(base.density)
+    active, active_covariance = components_in_space(density)
     position = [parameters.bs[None], active[likely]]
     covariance = [np.zeros((1, SPACE, SPACE)), active_covariance[likely]]
-    kind = [np.array([int(LandmarkType.BS)]), base.component_type[likely]]
+    kind = [np.array([int(LandmarkType.BS)]), density.component_type[likely]]
     probabilities: Sequence[FloatArray] = [np.ones(1), probability[likely]]
-    inactive = base.inactive.landmarks
     if inactive is not None:
-        inactive_position, inactive_covariance = current_in_space(base, inactive)
+        inactive_position, inactive_covariance = current_in_space(density, inactive)
         position.append(inactive_position)
         covariance.append(inactive_covariance)
         kind.append(np.full(len(inactive), int(LandmarkType.SP)))

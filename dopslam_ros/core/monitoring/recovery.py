@@ -16,13 +16,11 @@ import numpy as np
 from scipy.special import logsumexp
 
 from dopslam_ros.core.linalg.arrays import FloatArray
-from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
 from dopslam_ros.core.monitoring.candidates import (
     Candidate,
     Lost,
     carried_on,
-    dead_reckoned,
     moved_on,
     proposed,
     worth_keeping,
@@ -30,14 +28,10 @@ from dopslam_ros.core.monitoring.candidates import (
 from dopslam_ros.core.monitoring.health import HEALTHY, Health, Level, assess, statistics_of
 from dopslam_ros.core.monitoring.pose_problem import POSE
 from dopslam_ros.core.monitoring.pose_search import ANYWHERE, log_lost, with_pose_unknown
-from dopslam_ros.core.pmb import (
-    Associations,
-    FilterParameters,
-    FilterState,
-    Mixture,
-    MixtureStep,
-    mixture_step,
-)
+from dopslam_ros.core.pmb import Associations, FilterParameters, Posterior, step
+from dopslam_ros.core.pmb.likelihood import Observed
+from dopslam_ros.core.pmb.posterior import posterior_of
+from dopslam_ros.core.pmb.step import predict
 from dopslam_ros.core.settings.layout import BS_ID, NONE, X
 
 # ln of the odds at which a pose is sure.
@@ -55,27 +49,26 @@ class Monitor:
         lost: set while the vehicle is lost.
     """
 
-    state: Mixture
+    state: Posterior
     health: Health
-    accepted: Mixture
+    accepted: Posterior
     lost: Lost | None = None
 
 
-def monitor_of(state: Mixture) -> Monitor:
+def monitor_of(state: Posterior) -> Monitor:
     """The monitor of a density that is taken to be right."""
     return Monitor(state, HEALTHY, state)
 
 
-def without_pose(state: Mixture) -> Monitor:
+def without_pose(state: Posterior) -> Monitor:
     """The monitor of a map in which the vehicle may be anywhere."""
-    best = state.best
-    nowhere = Mixture((with_pose_unknown(best, _pose(best)),), np.ones(1))
+    nowhere = _anywhere(state, state.density.ue_mean)
     reason = "lost: no pose given, to be found from the first sets"
     health = Health(Level.LOST, reason, losses=1)
     return Monitor(nowhere, health, nowhere, Lost(nowhere, trusted=False))
 
 
-def monitor_anew(state: Mixture, first: bool, parameters: FilterParameters) -> Monitor:
+def monitor_anew(state: Posterior, first: bool, parameters: FilterParameters) -> Monitor:
     """The monitor of a density that replaces another.
 
     Args:
@@ -90,16 +83,16 @@ def monitor_anew(state: Mixture, first: bool, parameters: FilterParameters) -> M
 
 def monitored_step(
     monitor: Monitor,
-    measurements: MeasurementSet,
+    observed: Observed,
     spans: Sequence[ControlSpan],
     speed: float,
     parameters: FilterParameters,
-) -> tuple[Monitor, MixtureStep]:
+) -> tuple[Monitor, Associations]:
     """A step of the filter, or of the search for the vehicle.
 
     Args:
         monitor: after the step before.
-        measurements: the snapshot.
+        observed: the snapshot.
         spans: controls since the previous snapshot.
         speed: v at the snapshot [m/s].
         parameters: models and settings.
@@ -108,56 +101,55 @@ def monitored_step(
         LinAlgError: the numbers allow no answer.
     """
     if monitor.lost is not None:
-        return _searched(monitor, monitor.lost, measurements, spans, speed, parameters)
-    outcome = mixture_step(monitor.state, measurements, spans, speed, parameters)
-    weighed = outcome
+        return _searched(monitor, monitor.lost, observed, spans, speed, parameters)
+    state, associations = step(monitor.state, observed, spans, speed, parameters)
+    weighed = associations
     if monitor.health.cusum > 0.0:  # against what the accepted density expects
-        weighed = mixture_step(monitor.accepted, measurements, spans, speed, parameters)
-    statistics = statistics_of(weighed.associations, measurements, parameters)
-    covariance = outcome.state.ue_covariance
-    health = assess(monitor.health, statistics, outcome.associations, covariance, parameters)
+        _, weighed = step(monitor.accepted, observed, spans, speed, parameters)
+    statistics = statistics_of(weighed, observed, parameters)
+    health = assess(monitor.health, statistics, associations, state.ue_covariance, parameters)
     if health.level == Level.LOST:
         return _searched(
             replace(monitor, health=health),
             Lost(monitor.accepted, trusted=True),
-            measurements,
+            observed,
             spans,
             speed,
             parameters,
         )
-    accepted = outcome.state
+    accepted = state
     if health.cusum > 0.0:
-        accepted = dead_reckoned(monitor.accepted, spans, parameters)
-    return Monitor(outcome.state, health, accepted), outcome
+        accepted = predict(monitor.accepted, spans, parameters)
+    return Monitor(state, health, accepted), associations
 
 
 def _searched(
     monitor: Monitor,
     lost: Lost,
-    measurements: MeasurementSet,
+    observed: Observed,
     spans: Sequence[ControlSpan],
     speed: float,
     parameters: FilterParameters,
-) -> tuple[Monitor, MixtureStep]:
+) -> tuple[Monitor, Associations]:
     """A step of the search."""
-    reckoned = dead_reckoned(lost.reckoned, spans, parameters)
-    if not len(measurements):
+    reckoned = predict(lost.reckoned, spans, parameters)
+    if not len(observed.values):
         moved = moved_on(lost, spans, parameters)
         lost = replace(lost, reckoned=reckoned, candidates=moved, sets=lost.sets + 1)
-        return _still_lost(monitor, lost, measurements)
+        return _still_lost(monitor, lost, observed)
     candidates = [
-        *carried_on(lost, measurements, spans, speed, parameters),
-        *proposed(lost, reckoned, measurements, speed, parameters),
+        *carried_on(lost, observed, spans, speed, parameters),
+        *proposed(lost, reckoned, observed, speed, parameters),
     ]
-    nothing = lost.log_nothing + log_lost(measurements, parameters)
+    nothing = lost.log_nothing + log_lost(observed, parameters)
     kept = worth_keeping(candidates, nothing)
     lost = Lost(reckoned, lost.trusted, kept, nothing, lost.sets + 1)
     if kept and _sure(kept, nothing):
-        outcome = kept[0].outcome
+        found = kept[0]
         reason = f"found again after {lost.sets} sets"
         health = Health(Level.WARN, reason, losses=monitor.health.losses)
-        return Monitor(outcome.state, health, outcome.state), outcome
-    return _still_lost(monitor, lost, measurements)
+        return Monitor(found.posterior, health, found.posterior), found.associations
+    return _still_lost(monitor, lost, observed)
 
 
 def _sure(candidates: Sequence[Candidate], nothing: float) -> bool:
@@ -165,28 +157,26 @@ def _sure(candidates: Sequence[Candidate], nothing: float) -> bool:
     return bool(candidates[0].log_weight - others > SURE)
 
 
-def _still_lost(
-    monitor: Monitor, lost: Lost, measurements: MeasurementSet
-) -> tuple[Monitor, MixtureStep]:
+def _still_lost(monitor: Monitor, lost: Lost, observed: Observed) -> tuple[Monitor, Associations]:
     """What is reported of a lost vehicle: the likeliest pose, and that it may be anywhere."""
-    base = lost.reckoned.best
-    likeliest = lost.candidates[0].outcome.state if lost.candidates else lost.reckoned
-    state = Mixture((with_pose_unknown(base, _pose(likeliest)),), np.ones(1))
+    likeliest = lost.candidates[0].posterior if lost.candidates else lost.reckoned
+    state = _anywhere(lost.reckoned, likeliest.ue_mean)
     searched = f"searched in {lost.sets} sets, {len(lost.candidates)} places possible"
     reason = monitor.health.reason.partition(";")[0]
     health = replace(monitor.health, level=Level.LOST, reason=f"{reason}; {searched}")
-    associations = _nothing_known(measurements, lost.log_nothing)
-    return Monitor(state, health, lost.reckoned, lost), MixtureStep(state, associations)
+    associations = _nothing_known(len(observed.values), lost.log_nothing)
+    return Monitor(state, health, lost.reckoned, lost), associations
 
 
-def _pose(state: FilterState | Mixture) -> FloatArray:
-    """(4,) where the vehicle is thought to be."""
-    return state.ue_mean[list(POSE)]
+def _anywhere(state: Posterior, vehicle: FloatArray) -> Posterior:
+    """The map of the likeliest hypothesis, the vehicle anywhere; nominally where (U,) says."""
+    density = with_pose_unknown(state.density, vehicle[list(POSE)])
+    return posterior_of(density, state.inactive[0])
 
 
-def _nothing_known(measurements: MeasurementSet, log_evidence: float) -> Associations:
+def _nothing_known(paths: int, log_evidence: float) -> Associations:
     """No path was given to anything."""
-    unassigned = np.full(len(measurements), NONE)
+    unassigned = np.full(paths, NONE)
     return Associations(
         ids=unassigned[None],
         weight=np.ones(1),
@@ -196,5 +186,5 @@ def _nothing_known(measurements: MeasurementSet, log_evidence: float) -> Associa
         log_evidence=log_evidence,
         sources=np.array([BS_ID]),
         log_missed=np.zeros(1),
-        log_new=np.zeros(len(measurements)),
+        log_new=np.zeros(paths),
     )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
+from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray, floats, integers
 from dopslam_ros.core.linalg.jit import from_python, jit
 from dopslam_ros.core.settings.layout import ALIKE, LANDMARK_SIZES, LARGEST_LANDMARK, Components
 
@@ -29,7 +29,7 @@ class Regressions(NamedTuple):
     """What ties N landmarks out of view to A virtual anchors; see ``InactiveLandmarks``.
 
     Attributes:
-        anchors: (N, A) track ids of the anchors, 0 where a place is not used.
+        anchors: (N, A) track ids of the anchors, 0 where there are fewer.
         anchor_q: (N, 3 A) local coordinates of the anchors then.
         gain: (N, 3, 3 A) dq / d anchor_q.
         q: (N, 3) local coordinates then.
@@ -82,6 +82,52 @@ class Density(NamedTuple):
     existence: FloatArray
     undetected: Undetected
     next_id: int
+
+    @property
+    def ue_mean(self) -> FloatArray:
+        """(U,) estimate of the vehicle."""
+        return self.mean[: self.start[0]]
+
+    @property
+    def ue_covariance(self) -> FloatArray:
+        """(U, U) its covariance."""
+        return self.covariance[: self.start[0], : self.start[0]]
+
+    def but(self, **parts: Any) -> Density:
+        """The same with other parts."""
+        ready = {name: _as_compiled(value) for name, value in parts.items()}
+        if "component_type" in ready:
+            ready["start"] = block_starts(len(self.vehicle), ready["component_type"])
+        return self._replace(**ready)
+
+    def only(self, components: BoolArray, tracks: BoolArray) -> Density:
+        """What is left of it.
+
+        Args:
+            components: (C,) which are kept.
+            tracks: (T,) which are kept; they have a component that is.
+        """
+        kept = np.repeat(components, np.diff(self.start))
+        index = np.concatenate([np.arange(self.start[0]), self.start[0] + np.flatnonzero(kept)])
+        renumbered = np.cumsum(tracks) - 1
+        return self.but(
+            mean=self.mean[index],
+            covariance=self.covariance[np.ix_(index, index)],
+            origin=self.origin[components],
+            axes=self.axes[components],
+            component_track=renumbered[self.component_track[components]],
+            component_type=self.component_type[components],
+            component_weight=self.component_weight[components],
+            track_id=self.track_id[tracks],
+            existence=self.existence[tracks],
+        )
+
+
+def _as_compiled(value: Any) -> Any:
+    """A part of a density as the compiled functions take it."""
+    if not isinstance(value, np.ndarray):
+        return value
+    return floats(value) if value.dtype.kind == "f" else integers(value)
 
 
 @from_python

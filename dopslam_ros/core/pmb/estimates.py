@@ -8,8 +8,10 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
+from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.inactive import current_in_space
-from dopslam_ros.core.pmb.state import FilterState
+from dopslam_ros.core.pmb.inactive_grid import InactiveGrid
+from dopslam_ros.core.pmb.posterior import Posterior
 from dopslam_ros.core.settings.filtering import FilterParameters
 from dopslam_ros.core.settings.layout import LandmarkType
 
@@ -38,36 +40,37 @@ class LandmarkEstimates:
 _PARTS = tuple(part.name for part in fields(LandmarkEstimates))
 
 
-def reported_landmarks(state: FilterState, parameters: FilterParameters) -> LandmarkEstimates:
-    """The map: landmarks that surely exist and whose position is known, in view or not."""
-    tracks = len(state.track_id)
+def reported_landmarks(state: Posterior, parameters: FilterParameters) -> LandmarkEstimates:
+    """The map of the likeliest hypothesis: landmarks that surely exist, of known position."""
+    density = state.density
+    tracks = len(density.track_id)
     probabilities = np.zeros((tracks, len(LandmarkType)))
-    probabilities[state.component_track, state.component_type] = state.component_weight
+    probabilities[density.component_track, density.component_type] = density.component_weight
     best = np.zeros(tracks, dtype=np.int64)
     # Ascending weight: the heaviest component of a track is written last.
-    order = np.argsort(state.component_weight, kind="stable")
-    best[state.component_track[order]] = order
-    position, covariance = components_in_space(state.density)
+    order = np.argsort(density.component_weight, kind="stable")
+    best[density.component_track[order]] = order
+    position, covariance = components_in_space(density)
     active = LandmarkEstimates(
-        ids=state.track_id,
-        types=state.component_type[best],
+        ids=density.track_id,
+        types=density.component_type[best],
         type_probabilities=probabilities,
-        existence=state.existence,
+        existence=density.existence,
         positions=position[best],
         covariances=covariance[best],
     )
-    everything = _together(active, _out_of_view(state))
+    everything = _together(active, _out_of_view(density, state.inactive[0]))
     std = np.sqrt(np.trace(everything.covariances, axis1=1, axis2=2))
     shown = (everything.existence >= parameters.report_existence) & (std <= parameters.report_std)
     order = np.flatnonzero(shown)
     return _rows(everything, order[np.argsort(everything.ids[order], kind="stable")])
 
 
-def _out_of_view(state: FilterState) -> LandmarkEstimates | None:
-    inactive = state.inactive.landmarks
+def _out_of_view(density: Density, grid: InactiveGrid) -> LandmarkEstimates | None:
+    inactive = grid.landmarks
     if inactive is None:
         return None
-    position, covariance = current_in_space(state, inactive)
+    position, covariance = current_in_space(density, inactive)
     types = np.full(len(inactive), int(LandmarkType.SP))
     return LandmarkEstimates(
         ids=inactive.track_id,
@@ -80,11 +83,11 @@ def _out_of_view(state: FilterState) -> LandmarkEstimates | None:
 
 
 def _rows(landmarks: LandmarkEstimates, which: IntArray) -> LandmarkEstimates:
-    return LandmarkEstimates(*(getattr(landmarks, name)[which] for name in _PARTS))
+    return LandmarkEstimates(*[getattr(landmarks, name)[which] for name in _PARTS])
 
 
 def _together(one: LandmarkEstimates, other: LandmarkEstimates | None) -> LandmarkEstimates:
     if other is None:
         return one
-    pairs = ((getattr(one, name), getattr(other, name)) for name in _PARTS)
+    pairs = [(getattr(one, name), getattr(other, name)) for name in _PARTS]
     return LandmarkEstimates(*map(np.concatenate, pairs))

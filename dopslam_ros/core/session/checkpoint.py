@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from dopslam_ros.core.models.motion import Control, ControlSpan
-from dopslam_ros.core.pmb import FilterParameters, FilterState, Mixture
+from dopslam_ros.core.pmb import FilterParameters, Posterior
 from dopslam_ros.core.pmb.known_map import map_of, with_map
+from dopslam_ros.core.pmb.posterior import posterior_of
 
 MAP, SNAPSHOT = "map", "snapshot"
 # The stamp of a filter that has not processed a set yet.
@@ -33,7 +32,7 @@ class Checkpoint:
         kind: MAP: the density has one hypothesis, without a vehicle; or SNAPSHOT.
         stamp_ns: time of the last set that is in it, or BEFORE_ALL.
         parameters: of the filter that saved it.
-        mixture: the density.
+        posterior: the density.
         controls: with their stamps [ns], from the one in force at the stamp on.
         owed: motion that the density has still to make up for.
         known: the map as it was loaded, of a filter that only localises.
@@ -42,7 +41,7 @@ class Checkpoint:
     kind: str
     stamp_ns: int
     parameters: Mapping[str, Any]
-    mixture: Mixture
+    posterior: Posterior
     controls: tuple[tuple[int, Control], ...] = ()
     owed: tuple[ControlSpan, ...] = ()
     known: Checkpoint | None = None
@@ -64,14 +63,16 @@ class Checkpoint:
                 )
 
 
-def map_checkpoint(state: FilterState, stamp_ns: int, parameters: Mapping[str, Any]) -> Checkpoint:
-    """The map of a density, with the parameters of its filter by name."""
-    return Checkpoint(MAP, stamp_ns, parameters, Mixture((map_of(state),), np.ones(1)))
+def map_checkpoint(state: Posterior, stamp_ns: int, parameters: Mapping[str, Any]) -> Checkpoint:
+    """The map of the likeliest hypothesis, with the parameters of its filter by name."""
+    bare = posterior_of(map_of(state.density), state.inactive[0])
+    return Checkpoint(MAP, stamp_ns, parameters, bare)
 
 
-def in_map(vehicle: FilterState, known: Checkpoint, parameters: FilterParameters) -> Mixture:
-    """A vehicle in a map that it is independent of."""
-    return Mixture((with_map(vehicle, known.mixture.best, parameters),), np.ones(1))
+def in_map(vehicle: Posterior, known: Checkpoint, parameters: FilterParameters) -> Posterior:
+    """The vehicle of the likeliest hypothesis in a map that it is independent of."""
+    density = with_map(vehicle.density, known.posterior.density, parameters)
+    return posterior_of(density, known.posterior.inactive[0])
 
 
 def _same(theirs: Any, ours: Any) -> bool:

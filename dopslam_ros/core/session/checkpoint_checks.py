@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
-from dopslam_ros.core.pmb import FilterState
+from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.inactive import SMALLEST_CELL
-from dopslam_ros.core.pmb.inactive_grid import InactiveLandmarks
+from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks
+from dopslam_ros.core.pmb.posterior import all_ids
 from dopslam_ros.core.session.checkpoint import (
     BEFORE_ALL,
     MAP,
@@ -19,7 +20,7 @@ from dopslam_ros.core.session.checkpoint import (
     Checkpoint,
     CheckpointError,
 )
-from dopslam_ros.core.settings.layout import UNKNOWN_TYPES
+from dopslam_ros.core.settings.layout import SPACE, UNKNOWN_TYPES
 
 # Nothing that is estimated is farther away [m], in any unit.
 LARGEST = 1e9
@@ -49,14 +50,16 @@ def check_checkpoint(saved: Checkpoint) -> None:
         all(t >= 0.0 for t in durations),
         "motion is owed for a negative time or with a negative variance",
     )
-    weight = saved.mixture.weight
+    weight = saved.posterior.weight
     _probabilities("weight", weight)
-    _need(weight.shape == (len(saved.mixture.hypotheses),), "weights are no vector")
+    _need(weight.shape == (len(saved.posterior.densities),), "weights are no vector")
     _need(abs(weight.sum() - 1.0) < ROUNDING, "weights do not sum to 1")
-    for state in saved.mixture.hypotheses:
-        check_state(state, saved.parameters)
+    for density, inactive in zip(saved.posterior.densities, saved.posterior.inactive, strict=True):
+        check_density(density)
+        _check_inactive(inactive, saved.parameters)
+        _check_ids(density, inactive)
     if saved.kind == MAP:
-        best = saved.mixture.best
+        best = saved.posterior.density
         vehicle = best.ue_mean.any() or best.covariance[: best.start[0]].any()
         _need(len(weight) == 1 and not vehicle, "a map has no vehicle")
     if saved.known is not None:
@@ -65,65 +68,65 @@ def check_checkpoint(saved: Checkpoint) -> None:
         check_checkpoint(saved.known)
 
 
-def check_state(state: FilterState, parameters: Mapping[str, Any]) -> None:
-    """The same for one density; ``parameters`` of the filter that made it."""
-    components, tracks = len(state.component_track), len(state.track_id)
-    _array("component_type", state.component_type, (components,), whole=True)
+def check_density(density: Density) -> None:
+    """The same for one density."""
+    components, tracks = len(density.component_track), len(density.track_id)
+    _array("component_type", density.component_type, (components,), whole=True)
     # Before all else: the sizes of the blocks follow from the types.
-    _need(bool(np.isin(state.component_type, UNKNOWN_TYPES).all()), "component_type is unknown")
+    _need(bool(np.isin(density.component_type, UNKNOWN_TYPES).all()), "component_type is unknown")
     shapes: dict[str, tuple[int, ...]] = {
-        "mean": (int(state.start[-1]),),
-        "covariance": (int(state.start[-1]), int(state.start[-1])),
-        "origin": (components, 3),
-        "axes": (components, 3, 3),
+        "mean": (int(density.start[-1]),),
+        "covariance": (int(density.start[-1]), int(density.start[-1])),
+        "origin": (components, SPACE),
+        "axes": (components, SPACE, SPACE),
         "component_track": (components,),
         "component_weight": (components,),
         "track_id": (tracks,),
         "existence": (tracks,),
     }
     for name, shape in shapes.items():
-        _array(name, getattr(state, name), shape, whole=name in _WHOLE)
-    owner = state.component_track
+        _array(name, getattr(density, name), shape, whole=name in _WHOLE)
+    owner = density.component_track
     steps = np.diff(owner, prepend=-1, append=tracks)
     _need(bool(np.isin(steps, (0, 1)).all()) and steps[-1] == 1, "component_track has gaps")
-    _probabilities("existence", state.existence)
-    _probabilities("component_weight", state.component_weight)
-    of_track = np.bincount(owner, state.component_weight, minlength=tracks)
+    _probabilities("existence", density.existence)
+    _probabilities("component_weight", density.component_weight)
+    of_track = np.bincount(owner, density.component_weight, minlength=tracks)
     _need(bool((abs(of_track - 1.0) < ROUNDING).all()), "types do not sum to 1")
-    _frames(state.axes)
-    _covariance("covariance", state.covariance)
-    _check_undetected(state)
-    _check_inactive(state, parameters)
-    ids = state.all_track_ids
+    _frames(density.axes)
+    _covariance("covariance", density.covariance)
+    _check_undetected(density)
+
+
+def _check_ids(density: Density, inactive: InactiveGrid) -> None:
+    ids, next_id = all_ids(density, inactive), density.next_id
     _need(len(np.unique(ids)) == len(ids), "two landmarks have the same id")
-    _need(not len(ids) or 1 <= ids.min() <= ids.max() < state.next_id, "an id is out of range")
-    _need(1 <= state.next_id < 2**32, f"next_id is {state.next_id}")
+    _need(not len(ids) or 1 <= ids.min() <= ids.max() < next_id, "an id is out of range")
+    _need(1 <= next_id < 2**32, f"next_id is {next_id}")
 
 
 _WHOLE = ("component_track", "component_type", "track_id", "anchors")
 
 
-def _check_undetected(state: FilterState) -> None:
-    seen = state.undetected
+def _check_undetected(density: Density) -> None:
+    seen = density.undetected
     count = len(seen.viewpoint_looks)
     _array("viewpoints", seen.viewpoints, (count, 2), whole=False)
     _array("viewpoint_looks", seen.viewpoint_looks, (count,), whole=True)
     _need(seen.looks >= 0 and bool((seen.viewpoint_looks >= 0).all()), "looks are below 0")
 
 
-def _check_inactive(state: FilterState, parameters: Mapping[str, Any]) -> None:
-    _need(
-        0.0 <= state.inactive.largest_distance <= LARGEST, "a reactivation distance is out of range"
-    )
-    landmarks = state.inactive.landmarks
+def _check_inactive(inactive: InactiveGrid, parameters: Mapping[str, Any]) -> None:
+    _need(0.0 <= inactive.largest_distance <= LARGEST, "a reactivation distance is out of range")
+    landmarks = inactive.landmarks
     if landmarks is None:
         return
     size = max(float(parameters["sp_field_of_view"]), SMALLEST_CELL)
-    index = np.array(list(state.inactive.cells), np.float64)
-    counts = [len(cell) for cell in state.inactive.cells.values()]
+    index = np.array(list(inactive.cells), np.float64)
+    counts = [len(cell) for cell in inactive.cells.values()]
     at_home = np.floor(landmarks.position[:, :2] / size) == np.repeat(index, counts, axis=0)
     _need(min(counts) > 0 and bool(at_home.all()), "a cell has landmarks of elsewhere, or none")
-    _check_landmarks(landmarks, state.inactive.largest_distance)
+    _check_landmarks(landmarks, inactive.largest_distance)
 
 
 def _check_landmarks(landmarks: InactiveLandmarks, largest: float) -> None:
@@ -162,7 +165,7 @@ def _probabilities(name: str, array: FloatArray) -> None:
 
 def _frames(axes: FloatArray) -> None:
     """Axes must be orthonormal."""
-    off = np.swapaxes(axes, 1, 2) @ axes - np.eye(3)
+    off = np.swapaxes(axes, 1, 2) @ axes - np.eye(SPACE)
     _need(bool((np.abs(off) < ROUNDING).all()), "axes are not at right angles")
 
 

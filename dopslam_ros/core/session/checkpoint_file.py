@@ -25,12 +25,12 @@ import numpy as np
 
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.models.motion import Control, ControlSpan, Drift
-from dopslam_ros.core.pmb import FilterState, Mixture
+from dopslam_ros.core.pmb import Posterior
 from dopslam_ros.core.pmb.density import Density, Undetected
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks
 from dopslam_ros.core.session.checkpoint import Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_checks import check_checkpoint
-from dopslam_ros.core.settings.layout import ANGLES, LANDMARK_SIZES
+from dopslam_ros.core.settings.layout import ANGLES, LANDMARK_SIZES, SP, SPACE, VA
 
 Array = FloatArray | IntArray
 Buffer = bytes | Array
@@ -48,20 +48,21 @@ _TYPES: Mapping[str, Any] = {"<f8": np.float64, "<i8": np.int64}
 _KNOWN = ("vehicle", "start", "undetected", "next_id")
 # What is an array of its own.
 _DENSITY = tuple(n for n in Density._fields if n not in _KNOWN)
-# Shape of what belongs to one inactive landmark; A anchors.
+_OWN, _ANCHOR = LANDMARK_SIZES[SP], LANDMARK_SIZES[VA]
+# Shape of what belongs to one inactive landmark; what is negative is so for each anchor.
 _INACTIVE: Mapping[str, tuple[int, ...]] = {
     "track_id": (),
     "existence": (),
     "reactivation_distance": (),
-    "position": (3,),
-    "origin": (3,),
-    "axes": (3, 3),
-    "q": (3,),
-    "covariance": (3, 3),
+    "position": (SPACE,),
+    "origin": (SPACE,),
+    "axes": (SPACE, SPACE),
+    "q": (_OWN,),
+    "covariance": (_OWN, _OWN),
     "anchors": (-1,),
-    "anchor_q": (-3,),
-    "gain": (3, -3),
-    "residual": (3, 3),
+    "anchor_q": (-_ANCHOR,),
+    "gain": (_OWN, -_ANCHOR),
+    "residual": (_OWN, _OWN),
 }
 # What has another name in the file, which is older.
 _NAMES_IN_FILE = {"reactivation_distance": "reach"}
@@ -150,24 +151,26 @@ def _named_arrays(saved: Checkpoint) -> Iterator[tuple[str, Array]]:
     yield "control_stamps", stamps
     yield "controls", values
     yield "owed", owed.reshape(-1, 5)
-    yield "weight", saved.mixture.weight
-    for number, state in enumerate(saved.mixture.hypotheses):
-        for name, array in _of_state(state):
+    known = saved.posterior
+    yield "weight", known.weight
+    for number, hypothesis in enumerate(zip(known.densities, known.inactive, strict=True)):
+        for name, array in _of_hypothesis(*hypothesis):
             yield f"{number}/{name}", array
     for name, array in () if saved.known is None else _named_arrays(saved.known):
         yield f"known/{name}", array
 
 
-def _of_state(state: FilterState) -> Iterator[tuple[str, Array]]:
+def _of_hypothesis(density: Density, inactive: InactiveGrid) -> Iterator[tuple[str, Array]]:
     for name in _DENSITY:
-        yield name, getattr(state.density, name)
-    yield "numbers", np.array([state.next_id, state.undetected.looks], np.int64)
-    yield "viewpoints", state.undetected.viewpoints
-    yield "viewpoint_looks", state.undetected.viewpoint_looks
-    cells = list(state.inactive.cells.items())
+        yield name, getattr(density, name)
+    seen = density.undetected
+    yield "numbers", np.array([density.next_id, seen.looks], np.int64)
+    yield "viewpoints", seen.viewpoints
+    yield "viewpoint_looks", seen.viewpoint_looks
+    cells = list(inactive.cells.items())
     sizes = [[*index, *cell.anchors.shape] for index, cell in cells]
     yield "cells", np.array(sizes, np.int64).reshape(-1, 4)
-    yield "widest", np.array([state.inactive.largest_distance])
+    yield "widest", np.array([inactive.largest_distance])
     for name in _INACTIVE if cells else ():
         yield _in_file(name), np.concatenate([getattr(cell, name).ravel() for _, cell in cells])
 
@@ -185,15 +188,16 @@ def _saved(about: Any, arrays: Arrays, prefix: str = "") -> Checkpoint:
 
     weight, owed = take("weight"), take("owed").tolist()
     stamps, controls = take("control_stamps").tolist(), take("controls").tolist()
-    states = tuple(_state(arrays, f"{prefix}{number}/") for number in range(len(weight)))
-    if not states:
+    hypotheses = [_hypothesis(arrays, f"{prefix}{number}/") for number in range(len(weight))]
+    if not hypotheses:
         raise CheckpointError("the file has no hypothesis")
+    densities, inactive = zip(*hypotheses, strict=True)
     known = about["known"]
     return Checkpoint(
         kind=str(about["kind"]),
         stamp_ns=int(about["stamp_ns"]),
         parameters=dict(about["parameters"]),
-        mixture=Mixture(states, weight),
+        posterior=Posterior(densities, inactive, weight),
         controls=tuple((s, Control(*c)) for s, c in zip(stamps, controls, strict=True)),
         owed=tuple(ControlSpan(Control(v, w), t, Drift(*d)) for v, w, t, *d in owed),
         known=None if known is None else _saved(known, arrays, "known/"),
@@ -222,7 +226,7 @@ def _whole(length: Any) -> int:
     return length
 
 
-def _state(arrays: Arrays, prefix: str) -> FilterState:
+def _hypothesis(arrays: Arrays, prefix: str) -> tuple[Density, InactiveGrid]:
     def take(name: str) -> Any:
         return arrays.pop(prefix + name)
 
@@ -234,7 +238,7 @@ def _state(arrays: Arrays, prefix: str) -> FilterState:
     sizes = np.array(LANDMARK_SIZES)[own["component_type"]]
     start = np.cumsum([len(ANGLES), *sizes])
     density = Density(**own, vehicle=ANGLES, start=start, undetected=undetected, next_id=next_id)
-    return FilterState(density, InactiveGrid(_cells(cells, flat), widest))
+    return density, InactiveGrid(_cells(cells, flat), widest)
 
 
 def _cells(

@@ -6,7 +6,7 @@ from collections import deque
 
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
-from dopslam_ros.core.pmb import FilterParameters, Mixture, initial_mixture
+from dopslam_ros.core.pmb import FilterParameters, Posterior, initial_posterior
 from dopslam_ros.core.session.checkpoint import (
     BEFORE_ALL,
     MAP,
@@ -31,7 +31,7 @@ class ControlledFilter:
         self.parameters = parameters
         self._settings = shared_values(parameters, FilterParameters)
         self._sequencer: Sequencer[MeasurementSet] = Sequencer(parameters)
-        self._state = initial_mixture(parameters)
+        self._state = initial_posterior(parameters)
         self._owed: tuple[ControlSpan, ...] = ()
         self._last_ns = BEFORE_ALL
         self._anew = True  # the next set is like a first one: no motion leads to it
@@ -41,7 +41,7 @@ class ControlledFilter:
         self._scheduled: deque[Event] = deque()
 
     @property
-    def state(self) -> Mixture:
+    def state(self) -> Posterior:
         """The density after the last snapshot processed."""
         return self._state
 
@@ -127,12 +127,12 @@ class ControlledFilter:
         return BEFORE_ALL if newest is None else newest
 
     def _learned_map(self) -> Checkpoint:
-        return map_checkpoint(self._state.best, self._last_ns, self._settings)
+        return map_checkpoint(self._state, self._last_ns, self._settings)
 
     def _do(self, event: Event) -> Event:
         saved = event.saved
         if event.kind == RESET:
-            self._state, self._owed, self._anew = initial_mixture(self.parameters), (), True
+            self._state, self._owed, self._anew = initial_posterior(self.parameters), (), True
             saved = self._start_map
             if saved is None:
                 self._known_map = self._learned_map()
@@ -142,7 +142,7 @@ class ControlledFilter:
             self._go_on_from(saved)
         elif saved is not None:
             self._known_map = saved
-            self._state = in_map(self._state.best, saved, self.parameters)
+            self._state = in_map(self._state, saved, self.parameters)
         return event
 
     def _begin_anew(self) -> None:
@@ -151,7 +151,7 @@ class ControlledFilter:
         self._last_ns = BEFORE_ALL
 
     def _go_on_from(self, saved: Checkpoint) -> None:
-        self._state, self._owed, self._last_ns = saved.mixture, saved.owed, saved.stamp_ns
+        self._state, self._owed, self._last_ns = saved.posterior, saved.owed, saved.stamp_ns
         self._anew = saved.stamp_ns == BEFORE_ALL
         self._known_map = saved.known or self._learned_map()
         self._sequencer = Sequencer(self.parameters)

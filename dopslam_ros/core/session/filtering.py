@@ -1,4 +1,4 @@
-"""The filter and the bounds over time: inputs in any order go in, results in order come out.
+"""The filter over time: inputs in any order go in, results in order come out.
 
 The node and the offline replay run exactly these classes. They hold the state between calls and
 count what was refused; all mathematics is in pure functions elsewhere.
@@ -17,10 +17,7 @@ from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control
 from dopslam_ros.core.monitoring.health import Health
 from dopslam_ros.core.monitoring.recovery import monitor_anew, monitor_of, monitored_step
-from dopslam_ros.core.pmb import (
-    FilterParameters,
-    Mixture,
-)
+from dopslam_ros.core.pmb import Associations, FilterParameters, Posterior, prepare
 from dopslam_ros.core.session.control import ControlledFilter
 from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.core.session.sequence import BEGUN_ANEW, Timed
@@ -31,7 +28,7 @@ class FilterSession(ControlledFilter):
     """The EK-PMB filter fed with measurement sets and controls.
 
     Attributes:
-        problems: how often each kind of trouble was met while filtering.
+        problems: how often each kind of problem was met while filtering.
     """
 
     def __init__(self, parameters: FilterParameters) -> None:
@@ -87,49 +84,59 @@ class FilterSession(ControlledFilter):
 
     def _step(self, timed: Timed[MeasurementSet]) -> FilterOutput | None:
         started = time.perf_counter()
-        self.problems.update(self._sequencer.take_problems())
-        if not timed.complete:
-            self.problems["missing_control"] += 1
-        if not len(timed.item):
-            self.problems["empty_set"] += 1
+        self._count_problems(timed)
         known = timed.control is not None and not timed.stale
         measurements = timed.item if known else _without_doppler(timed.item)
         control = timed.control or Control(0.0, 0.0)
         # Owed until a step succeeds: whatever goes wrong below, the motion is not forgotten.
         anew, self._anew = self._anew, False
-        self._owed = spans = () if anew else self._owed + timed.spans
-        if self._monitor.state is not self._state or anew:  # somebody has put in another
-            self._monitor = monitor_anew(self._state, anew, self.parameters)
-            self._state = self._monitor.state
-        try:
-            monitor, result = monitored_step(
-                self._monitor, measurements, spans, control.speed, self.parameters
-            )
-        except np.linalg.LinAlgError:
-            monitor, result = self._monitor, None
-        if result is None or not _sound(result.state):
+        self._owed = () if anew else self._owed + timed.spans
+        associations = self._take_in(measurements, control.speed, anew)
+        if associations is None:
             self.problems["numerical_failure"] += 1
             return None  # the last good state stays
         self._owed = ()
-        self._state, self._monitor = result.state, monitor
         return FilterOutput(
             stamp_ns=timed.stamp_ns,
-            state=result.state,
+            state=self._state,
             parameters=self.parameters,
             control=control,
             measurements=measurements,
-            associations=result.associations,
+            associations=associations,
             step_seconds=time.perf_counter() - started,
             anew=anew,
-            health=monitor.health,
+            health=self.health,
         )
 
+    def _count_problems(self, timed: Timed[MeasurementSet]) -> None:
+        self.problems.update(self._sequencer.take_problems())
+        if not timed.complete:
+            self.problems["missing_control"] += 1
+        if not len(timed.item):
+            self.problems["empty_set"] += 1
 
-def _sound(state: Mixture) -> bool:
-    return all(
-        is_gaussian(one.density.mean, one.density.covariance, int(one.start[0]))
-        for one in state.hypotheses
-    )
+    def _take_in(
+        self, measurements: MeasurementSet, speed: float, anew: bool
+    ) -> Associations | None:
+        """The state after a set, and the associations behind it; None: there is no good one."""
+        if self._monitor.state is not self._state or anew:  # somebody has put in another
+            self._monitor = monitor_anew(self._state, anew, self.parameters)
+            self._state = self._monitor.state
+        observed = prepare(measurements, self.parameters)
+        try:
+            monitor, associations = monitored_step(
+                self._monitor, observed, self._owed, speed, self.parameters
+            )
+        except np.linalg.LinAlgError:
+            return None
+        if not _is_gaussian(monitor.state):
+            return None
+        self._state, self._monitor = monitor.state, monitor
+        return associations
+
+
+def _is_gaussian(state: Posterior) -> bool:
+    return all(is_gaussian(one.mean, one.covariance, len(one.vehicle)) for one in state.densities)
 
 
 def _without_doppler(measurements: MeasurementSet) -> MeasurementSet:

@@ -12,8 +12,8 @@ from dopslam_ros.core.pmb import (
     Associations,
     FilterParameters,
     LandmarkEstimates,
-    Mixture,
-    landmarks_of,
+    Posterior,
+    reported_landmarks,
 )
 
 
@@ -34,7 +34,7 @@ class FilterOutput:
     """
 
     stamp_ns: int
-    state: Mixture
+    state: Posterior
     parameters: FilterParameters
     control: Control
     measurements: MeasurementSet
@@ -46,4 +46,4 @@ class FilterOutput:
     @cached_property
     def landmarks(self) -> LandmarkEstimates:
         """The map to report; worked out when somebody asks, for it may be large."""
-        return landmarks_of(self.state, self.parameters)
+        return reported_landmarks(self.state, self.parameters)

@@ -77,7 +77,7 @@ class Sequencer(Generic[Item]):
         self._controls: Stream[Control] = Stream("control", "late_control", window)
         self._first: Instant | None = None
         self._last: Instant | None = None
-        self._apart_ns: int | None = None
+        self._alone_since_ns: int | None = None
 
     @property
     def pending(self) -> int:
@@ -143,7 +143,7 @@ class Sequencer(Generic[Item]):
                 sorting, or it is there already.
         """
         self._items.add(stamp_ns, item, self._last)
-        self._watch_rounds(stamp_ns)
+        self._rejoin_rounds(stamp_ns)
 
     def ready(self) -> Iterator[Timed[Item]]:
         """Releases what need not wait any longer, in order."""
@@ -176,13 +176,13 @@ class Sequencer(Generic[Item]):
         start = bisect.bisect_left(self._items.times, Instant(self._items.round, 0))
         return newest - self._items.times[start].stamp_ns >= self._wait_ns
 
-    def _watch_rounds(self, stamp_ns: int) -> None:
+    def _rejoin_rounds(self, stamp_ns: int) -> None:
         """Time that begins anew on one topic only is given up after a while."""
         if self._items.round == self._controls.round or self._controls.newest_ns is None:
-            self._apart_ns = None
-        elif self._apart_ns is None or stamp_ns < self._apart_ns:
-            self._apart_ns = stamp_ns
-        elif stamp_ns - self._apart_ns >= self._wait_ns:
+            self._alone_since_ns = None
+        elif self._alone_since_ns is None or stamp_ns < self._alone_since_ns:
+            self._alone_since_ns = stamp_ns
+        elif stamp_ns - self._alone_since_ns >= self._wait_ns:
             self._controls.join(self._items.round)
 
     def _release(self, reached: bool) -> Timed[Item]:
@@ -194,10 +194,11 @@ class Sequencer(Generic[Item]):
             self._first = time
         spans = () if last is None or anew else self._spans(last, time)
         control, current = self._control_at(time)
+        stale = control is not None and self._age(time, current) > self._parameters.control_timeout
         self._controls.forget(max(current, 0))
-        known = control is not None and all(span.control is not UNKNOWN for span in spans)
+        known = control is not None and all([span.control is not UNKNOWN for span in spans])
         complete = reached and known and self._any_of_round_after(time)
-        return Timed(time.stamp_ns, item, spans, control, complete, anew, self._stale(time))
+        return Timed(time.stamp_ns, item, spans, control, complete, anew, stale)
 
     def _any_of_round_after(self, time: Instant) -> bool:
         """Whether a control of an instant or later, in its round, has come."""
@@ -211,12 +212,9 @@ class Sequencer(Generic[Item]):
             return None, place
         return self._controls.values[place], place
 
-    def _stale(self, time: Instant) -> bool:
-        control, place = self._control_at(time)
-        if control is None:
-            return False
-        age = (time.stamp_ns - self._controls.times[place].stamp_ns) * 1e-9
-        return age > self._parameters.control_timeout
+    def _age(self, time: Instant, place: int) -> float:
+        """Of the control at a place, by that time [s]."""
+        return (time.stamp_ns - self._controls.times[place].stamp_ns) * 1e-9
 
     def _spans(self, start: Instant, end: Instant) -> tuple[ControlSpan, ...]:
         """The controls between two times; before the first one the vehicle is taken to stand.
@@ -228,13 +226,13 @@ class Sequencer(Generic[Item]):
         if (excess := len(between) - MOST_CONTROLS) > 0:
             self._controls.problems[UNUSED_CONTROL] += excess
         edges = [start, *between[-MOST_CONTROLS:], end]
-        return tuple(self._span(ahead, after) for ahead, after in itertools.pairwise(edges))
+        return tuple([self._span(ahead, after) for ahead, after in itertools.pairwise(edges)])
 
     def _span(self, start: Instant, end: Instant) -> ControlSpan:
         """The time between two instants, at the first of which a control may begin."""
         control, place = self._control_at(start)
         since = self._controls.times[place] if control is not None else self._first or start
-        before, after = ((t.stamp_ns - since.stamp_ns) * 1e-9 for t in (start, end))
+        before, after = [(t.stamp_ns - since.stamp_ns) * 1e-9 for t in (start, end)]
         drift = NO_DRIFT
         if after > self._parameters.control_timeout:
             (a, b), (c, d) = self._left(before), self._left(after)

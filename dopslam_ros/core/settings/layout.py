@@ -51,7 +51,6 @@ VEHICLE = (
     Component("clock_bias", "m", motion=WALKS),
 )
 X, Y, HEADING, CLOCK_BIAS = range(len(VEHICLE))
-UE = len(VEHICLE)
 
 # Which components of a vehicle are angles. The compiler knows the length of a tuple, and so the
 # number of components: functions are compiled once for each.

@@ -13,7 +13,7 @@ from dopslam_ros.core.linalg.arrays import (
     BoolArray,
     FloatArray,
 )
-from dopslam_ros.core.settings.layout import COMPONENTS, DIM, DOPPLER, PATH, VEHICLE, listed, units
+from dopslam_ros.core.settings.layout import DIM, DOPPLER, PATH, VEHICLE, listed, units
 from dopslam_ros.core.settings.parameters import parameter
 
 
@@ -172,8 +172,3 @@ def clutter_box(model: ModelParameters) -> FloatArray:
     """(6, 2) the box in which clutter is uniform: its lower and upper corner."""
     full, half = (-math.pi, math.pi), (-math.pi / 2.0, math.pi / 2.0)
     return np.array([model.clutter_path_length, full, half, full, half, model.clutter_doppler])
-
-
-def component_names(used: BoolArray) -> list[str]:
-    """The names of the components that are used."""
-    return [name for name, use in zip(COMPONENTS, used, strict=True) if use]

@@ -167,16 +167,6 @@ def declarations(parameters: type[Any]) -> tuple[Declaration, ...]:
     )
 
 
-def checked(instance: P) -> P:
-    """The same parameters, every value checked and converted to its declared type.
-
-    Raises:
-        ParameterError: a value cannot be used.
-    """
-    values = {d.name: d.check(getattr(instance, d.name)) for d in declarations(type(instance))}
-    return dataclasses.replace(instance, **values)  # type: ignore[type-var]
-
-
 def parse_assignment(text: str) -> tuple[str, object]:
     """The name and the value of ``NAME=VALUE``, the value as YAML has it.
 

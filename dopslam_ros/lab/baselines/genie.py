@@ -19,7 +19,7 @@ from dopslam_ros.core.pcrb.bounds_kernels import DIFFUSE_STD
 from dopslam_ros.core.pmb import LandmarkEstimates, coordinates
 from dopslam_ros.core.pmb.likelihood import Observed
 from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.state import initial_filter_state
+from dopslam_ros.core.pmb.posterior import initial_density
 from dopslam_ros.core.settings.filtering import FilterParameters
 from dopslam_ros.core.settings.layout import DIM, HEADING, SPACE, UNKNOWN_TYPES, LandmarkType
 from dopslam_ros.lab.baselines.births import propose
@@ -150,7 +150,7 @@ def _with_new_landmarks(
     parameters: FilterParameters,
 ) -> tuple[GenieState, IntArray]:
     """Appends landmarks never seen, diffuse, where their path puts them; and the usable paths."""
-    base = initial_filter_state(parameters).but(
+    base = initial_density(parameters).but(
         mean=state.mean[: state.vehicle],
         covariance=state.covariance[: state.vehicle, : state.vehicle],
     )

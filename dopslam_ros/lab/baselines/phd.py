@@ -23,9 +23,10 @@ import numpy as np
 from dopslam_ros.core.linalg.arrays import wrap_angle
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
+from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.estimates import LandmarkEstimates
 from dopslam_ros.core.pmb.observed import prepare
-from dopslam_ros.core.pmb.state import FilterState, initial_filter_state
+from dopslam_ros.core.pmb.posterior import initial_density
 from dopslam_ros.core.pmb.undetected import looked_from
 from dopslam_ros.core.settings.filtering import FilterParameters
 from dopslam_ros.core.settings.layout import HEADING, LandmarkType, X, Y
@@ -93,9 +94,9 @@ def phd_landmarks(state: PhdState, parameters: FilterParameters) -> LandmarkEsti
     )
 
 
-def _without_map(state: PhdState, parameters: FilterParameters) -> FilterState:
+def _without_map(state: PhdState, parameters: FilterParameters) -> Density:
     """Vehicle and undetected landmarks, which is what the births of the EK-PMB filter look at."""
-    return initial_filter_state(parameters).but(
+    return initial_density(parameters).but(
         mean=state.ue_mean,
         covariance=state.ue_covariance,
         undetected=state.undetected,

@@ -155,7 +155,7 @@ def endless(settled: int, steps: int) -> Endless:
         control = snapshot.control
         list(session.add_control(snapshot.stamp_ns, control.speed, control.turn_rate))
         for output in session.add_measurements(snapshot.stamp_ns, snapshot.measurements):
-            eigenvalue, difference = spectrum(output.state.best.covariance)
+            eigenvalue, difference = spectrum(output.state.density.covariance)
             smallest, asymmetry = min(smallest, eigenvalue), max(asymmetry, difference)
         if snapshot.step + 1 == settled:
             before = occupied()

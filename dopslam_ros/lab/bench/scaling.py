@@ -11,13 +11,16 @@ from scipy.linalg import block_diag
 from dopslam_ros.core.linalg.arrays import FloatArray, IntArray
 from dopslam_ros.core.models.motion import Control
 from dopslam_ros.core.pmb import (
+    Density,
     FilterParameters,
-    FilterState,
-    initial_filter_state,
+    Posterior,
+    initial_density,
     reported_landmarks,
 )
 from dopslam_ros.core.pmb.coordinates import frames, local_coordinates
 from dopslam_ros.core.pmb.inactive import deactivate
+from dopslam_ros.core.pmb.inactive_grid import InactiveGrid
+from dopslam_ros.core.pmb.posterior import posterior_of
 from dopslam_ros.core.settings.layout import SPACE, LandmarkType
 from dopslam_ros.lab.bench.records import Measured, Ratio, milliseconds, times_as_long
 from dopslam_ros.lab.bench.steps import Task, filter_step, inputs_of, step_seconds
@@ -135,7 +138,7 @@ def street(in_view: int, far: int, steps: int) -> Scenario:
     )
 
 
-def with_map(parameters: FilterParameters, positions: FloatArray, types: IntArray) -> FilterState:
+def with_map(parameters: FilterParameters, positions: FloatArray, types: IntArray) -> Posterior:
     """The density before the first snapshot with a map in it.
 
     The landmarks are where they are, known well on their own, and all share the error of the
@@ -146,22 +149,22 @@ def with_map(parameters: FilterParameters, positions: FloatArray, types: IntArra
         positions: (L, 3) of the landmarks [m].
         types: (L,) VA or SP; the anchors first.
     """
-    start = initial_filter_state(parameters)
+    start = initial_density(parameters)
     distance = np.linalg.norm(positions[:, :2] - start.ue_mean[:2], axis=1)
     active = (types == LandmarkType.VA) | (distance < 2.0 * parameters.sp_field_of_view)
     near = np.flatnonzero(active)
-    state = _appended(start, positions[near], types[near], near + 1)
+    density = _appended(start, positions[near], types[near], near + 1)
+    inactive = InactiveGrid()
     for far in np.array_split(np.flatnonzero(~active), -(-int((~active).sum()) // CHUNK) or 1):
-        state = deactivate(_appended(state, positions[far], types[far], far + 1), parameters)
-    return state.but(next_id=len(types) + 1)
+        density = _appended(density, positions[far], types[far], far + 1)
+        density, inactive = deactivate(density, inactive, parameters)
+    return posterior_of(density._replace(next_id=len(types) + 1), inactive)
 
 
-def _appended(
-    state: FilterState, positions: FloatArray, types: IntArray, ids: IntArray
-) -> FilterState:
-    """A state with more landmarks, active."""
-    count, old = len(ids), len(state.mean)
-    origin = np.tile(np.append(state.ue_mean[:2], 0.0), (count, 1))
+def _appended(density: Density, positions: FloatArray, types: IntArray, ids: IntArray) -> Density:
+    """A density with more landmarks, active."""
+    count, old = len(ids), len(density.mean)
+    origin = np.tile(np.append(density.ue_mean[:2], 0.0), (count, 1))
     axes = frames(positions - origin)
     q = local_coordinates(origin, axes, positions)
     distance = q[:, 0]
@@ -172,19 +175,19 @@ def _appended(
     own = [KNOWN_STD**2 * one @ one.T for one in to_q]
     follows = np.zeros((SPACE * count, old))
     follows[:, :2] = to_q.reshape(-1, SPACE)[:, :2]  # x and y of the vehicle
-    cross = follows @ state.covariance
-    joint = block_diag(state.covariance, *own)
+    cross = follows @ density.covariance
+    joint = block_diag(density.covariance, *own)
     joint[old:, :old], joint[:old, old:] = cross, cross.T
     joint[old:, old:] += cross @ follows.T
-    tracks, none = len(state.track_id), state.component_track
-    return state.but(
-        mean=np.concatenate([state.mean, q.ravel()]),
+    tracks, none = len(density.track_id), density.component_track
+    return density.but(
+        mean=np.concatenate([density.mean, q.ravel()]),
         covariance=joint,
-        origin=np.concatenate([state.origin, origin]),
-        axes=np.concatenate([state.axes, axes]),
+        origin=np.concatenate([density.origin, origin]),
+        axes=np.concatenate([density.axes, axes]),
         component_track=np.concatenate([none, tracks + np.arange(count)]),
-        component_type=np.concatenate([state.component_type, types]),
-        component_weight=np.concatenate([state.component_weight, np.ones(count)]),
-        track_id=np.concatenate([state.track_id, ids]),
-        existence=np.concatenate([state.existence, np.full(count, 0.9999)]),
+        component_type=np.concatenate([density.component_type, types]),
+        component_weight=np.concatenate([density.component_weight, np.ones(count)]),
+        track_id=np.concatenate([density.track_id, ids]),
+        existence=np.concatenate([density.existence, np.full(count, 0.9999)]),
     )

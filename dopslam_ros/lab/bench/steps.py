@@ -14,7 +14,7 @@ import numpy as np
 import dopslam_ros
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import ControlSpan
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state, step
+from dopslam_ros.core.pmb import FilterParameters, Posterior, initial_posterior, prepare, step
 from dopslam_ros.lab.bench.records import Measured, NotMeasured, milliseconds, times_as_long
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import Scenario, load_scenario
@@ -69,9 +69,14 @@ def step_seconds(*tasks: Task) -> list[list[float]]:
     return seconds
 
 
-def filter_step(parameters: FilterParameters) -> Callable[[FilterState, Inputs], FilterState]:
+def filter_step(parameters: FilterParameters) -> Callable[[Posterior, Inputs], Posterior]:
     """The filter's step as a task needs it."""
-    return lambda state, inputs: step(state, *inputs, parameters).state
+
+    def advance(state: Posterior, inputs: Inputs) -> Posterior:
+        observed = prepare(inputs.measurements, parameters)
+        return step(state, observed, inputs.spans, inputs.speed, parameters)[0]
+
+    return advance
 
 
 def joint(quick: bool) -> Measured:
@@ -89,7 +94,7 @@ def _step_of_the_paper(coupling: str, quick: bool) -> Measured:
     scenario = load_scenario("paper")
     parameters = filter_parameters_for(scenario, coupling=coupling)
     runs = [inputs_of(scenario, seed) for seed in range(1 if quick else 10)]
-    ours = [Task(filter_step(parameters), initial_filter_state(parameters), run) for run in runs]
+    ours = [Task(filter_step(parameters), initial_posterior(parameters), run) for run in runs]
     step_seconds(ours[0])  # everything compiled, loaded and cached
     try:
         textbook = load_textbook()

@@ -109,7 +109,7 @@ def _size(run: Replay, states: FloatArray) -> float:
 def _every_track(output: FilterOutput) -> LandmarkEstimates:
     """All landmarks that the filter thinks of, reported or not."""
     all_of_them = replace(output.parameters, report_existence=0.0, report_std=np.inf)
-    return reported_landmarks(output.state.best, all_of_them)
+    return reported_landmarks(output.state, all_of_them)
 
 
 def _landmarks(everything: Sequence[LandmarkEstimates], run: Replay) -> Series:

@@ -15,7 +15,6 @@ from dopslam_ros.core.settings.bounding import BoundsParameters
 from dopslam_ros.core.settings.model import (
     ModelParameters,
     clutter_box,
-    component_names,
     with_doppler_std,
 )
 from dopslam_ros.core.settings.parameters import declarations, shared_values
@@ -46,7 +45,6 @@ def test_derived_matrices() -> None:
     np.testing.assert_allclose(np.diag(model.noise), [0.01, 0.04, math.nan, 0.16, 0.25, 0.36])
     np.testing.assert_allclose(model.noise_rate, [0.02, 0.08, 5e-5, 0.045])
     np.testing.assert_array_equal(model.initial_covariance, np.diag([1.0, 4.0, 9.0, 16.0]))
-    assert component_names(model.used_components)[2] == "aod_azimuth"
 
 
 def test_only_the_doppler_changes() -> None:

@@ -22,8 +22,9 @@ from dopslam_ros.core.models.motion import Control, ControlSpan
 from dopslam_ros.core.pmb import (
     Associations,
     FilterParameters,
-    FilterState,
-    initial_filter_state,
+    Posterior,
+    initial_posterior,
+    prepare,
     step,
 )
 from dopslam_ros.core.settings.layout import DIM, NONE
@@ -112,8 +113,9 @@ def weights_by_ids(found: Associations) -> Counter[tuple[int | None, ...]]:
     return weights
 
 
-def compare(state: FilterState, density: textbook.Density) -> None:
+def compare(posterior: Posterior, density: textbook.Density) -> None:
     """Vehicle, map and their covariance, existence, types, ids; who is active in which order."""
+    state = posterior.density
     assert state.next_id == density.next_id
     known = {landmark.id: landmark for landmark in density.landmarks}
     assert sorted(state.track_id.tolist()) == sorted(known)
@@ -136,7 +138,7 @@ def compare(state: FilterState, density: textbook.Density) -> None:
     np.testing.assert_allclose(difference, 0.0, atol=TOLERANCE)
 
     expected = {one.landmark.id: one for one in density.inactive_landmarks}
-    inactive = state.inactive.landmarks
+    inactive = posterior.inactive[0].landmarks
     assert sorted(expected) == ([] if inactive is None else sorted(inactive.track_id.tolist()))
     for row, number in enumerate([] if inactive is None else inactive.track_id.tolist()):
         one = expected[number]
@@ -155,17 +157,18 @@ def test_the_step_is_that_of_the_textbook(scene: str, coupling: str, seed: int) 
     models = {name: settings.pop(name) for name in list(settings) if name in declared}
     scenario = replace(load_scenario("paper"), **models)
     parameters: FilterParameters = filter_parameters_for(scenario, **settings)
-    state, density = initial_filter_state(parameters), textbook.start(parameters)
+    state, density = initial_posterior(parameters), textbook.start(parameters)
     split = reactivated = 0
     for measurements, spans, speed in inputs(scenario, seed):
         before = {one.landmark.id for one in density.inactive_landmarks}
-        ours = step(state, measurements, spans, speed, parameters)
-        theirs = textbook.textbook_step(density, measurements, spans, speed, parameters)
-        state, (density, hypotheses) = ours.state, theirs
+        state, ours = step(state, prepare(measurements, parameters), spans, speed, parameters)
+        density, hypotheses = textbook.textbook_step(
+            density, measurements, spans, speed, parameters
+        )
         weights: Counter[tuple[int | None, ...]] = Counter()
         for ids, weight in hypotheses:
             weights[ids] += weight
-        found = weights_by_ids(ours.associations)
+        found = weights_by_ids(ours)
         assert set(found) == set(weights)
         np.testing.assert_allclose(
             [found[ids] for ids in weights], list(weights.values()), atol=TOLERANCE
@@ -183,7 +186,8 @@ def test_a_step_without_paths() -> None:
     parameters = FilterParameters()
     none = MeasurementSet(np.zeros((0, DIM)), np.zeros((0, DIM, DIM)))
     spans = [ControlSpan(Control(22.0, 0.3), 0.5)]
-    state = step(initial_filter_state(parameters), none, spans, 22.0, parameters).state
+    observed = prepare(none, parameters)
+    state, _ = step(initial_posterior(parameters), observed, spans, 22.0, parameters)
     start = textbook.start(parameters)
     density, hypotheses = textbook.textbook_step(start, none, spans, 22.0, parameters)
     assert hypotheses == [((), 1.0)]

@@ -16,7 +16,7 @@ from dopslam_ros.core.models import channel_kernels
 from dopslam_ros.core.models import incidence as incidence_kernels
 from dopslam_ros.core.models.channel import observe, residual
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
+from dopslam_ros.core.pmb import Density, FilterParameters, initial_density
 from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.observed import prepare
 from dopslam_ros.core.pmb.undetected import looked_from, nothing_seen
@@ -29,7 +29,7 @@ vehicle_of = from_python(channel_kernels.vehicle_of)
 SPEED = 22.22
 # A weak enough prior on the height that it does not move a landmark whose elevation is measured.
 PARAMETERS = FilterParameters(landmark_height_std=1000.0)
-STATE = initial_filter_state(PARAMETERS)
+STATE = initial_density(PARAMETERS)
 VA = np.array([200.0, 30.0, 45.0])
 SP = np.array([95.0, 20.0, 10.0])
 CASES = {"VA": (0, VA), "SP": (1, SP)}
@@ -49,7 +49,7 @@ def h(state: FloatArray, positions: FloatArray, kind: int) -> FloatArray:
 
 
 def fit(
-    values: FloatArray, state: FilterState = STATE, parameters: FilterParameters = PARAMETERS
+    values: FloatArray, state: Density = STATE, parameters: FilterParameters = PARAMETERS
 ) -> Births:
     measurements = MeasurementSet(values, np.zeros((len(values), DIM, DIM)))
     return propose(state, prepare(measurements, parameters), SPEED, parameters)

@@ -12,7 +12,7 @@ import pytest
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
+from dopslam_ros.core.pmb import Density, FilterParameters, initial_density
 from dopslam_ros.core.pmb import hypotheses as kernels
 from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.hypotheses import LOG_TINY, Hypotheses, LocalWeights
@@ -26,17 +26,15 @@ local_weights = from_python(kernels.local_weights)
 PARAMETERS = FilterParameters(gamma=1000)
 
 
-def associate(
-    state: FilterState, weights: LocalWeights, parameters: FilterParameters
-) -> Hypotheses:
+def associate(state: Density, weights: LocalWeights, parameters: FilterParameters) -> Hypotheses:
     """The associations that a step has."""
     return _associate(state.component_track, weights, parameters.gamma)
 
 
-def state_of(tracks: list[int]) -> FilterState:
+def state_of(tracks: list[int]) -> Density:
     """Tracks with so many components each; only the counts matter here."""
     owner = np.repeat(np.arange(len(tracks)), tracks)
-    return initial_filter_state(PARAMETERS).but(
+    return initial_density(PARAMETERS).but(
         component_track=owner,
         track_id=np.arange(1, len(tracks) + 1),
     )
@@ -141,7 +139,7 @@ def test_of_the_best_associations_the_likeliest_types_are_kept(gamma: int) -> No
         assert few.log_evidence == pytest.approx(many.log_evidence + math.log(share))
 
 
-def open_types(shares: list[float]) -> tuple[FilterState, LocalWeights]:
+def open_types(shares: list[float]) -> tuple[Density, LocalWeights]:
     """As many tracks as paths, path j surely from track j, whose second type has a given share."""
     count = len(shares)
     source = np.full((2 * count + 1, count), -np.inf)
@@ -196,7 +194,7 @@ def test_local_weights_of_what_is_sure_or_impossible() -> None:
         np.full((2, 2), -np.inf),
     )
     constants = replace(PARAMETERS, clutter_mean=0.0).constants
-    weights = local_weights(state.density, observed, fit, none, constants)
+    weights = local_weights(state, observed, fit, none, constants)
     np.testing.assert_array_equal(weights.missed, [LOG_TINY, 0.0, LOG_TINY, 0.0])
     np.testing.assert_array_equal(weights.new, [LOG_TINY, LOG_TINY])
     np.testing.assert_array_equal(weights.source[:, 0], [0.0, -np.inf, 0.0, -np.inf, -np.inf])

@@ -10,9 +10,12 @@ import pytest
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.models.motion import Control, ControlSpan
 from dopslam_ros.core.pmb import (
+    Density,
     FilterParameters,
-    FilterState,
-    initial_filter_state,
+    Posterior,
+    initial_density,
+    initial_posterior,
+    prepare,
     reported_landmarks,
     step,
 )
@@ -20,6 +23,7 @@ from dopslam_ros.core.pmb import step as step_function
 from dopslam_ros.core.pmb.coordinates import frames, local_coordinates
 from dopslam_ros.core.pmb.inactive import FORGOTTEN, current, deactivate, reactivate
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid, InactiveLandmarks, together
+from dopslam_ros.core.pmb.posterior import all_ids, posterior_of
 from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
@@ -27,6 +31,7 @@ from dopslam_ros.simulation.simulator import simulate
 
 PARAMETERS = FilterParameters()
 VA, SP = 1, 2
+NOTHING = InactiveGrid()
 
 
 def state_with(
@@ -34,7 +39,7 @@ def state_with(
     types: list[int],
     seed: int = 0,
     existence: float = 0.9999,
-) -> FilterState:
+) -> Density:
     """Tracks of one component each, everything correlated with everything; vehicle at (0, 0)."""
     rng = np.random.default_rng(seed)
     place = np.array(positions)
@@ -45,7 +50,7 @@ def state_with(
     correlation = root @ root.T + 2.0 * np.eye(n)
     scale = np.sqrt(np.diag(correlation))
     std = np.concatenate([[0.3, 0.3, 0.01, 0.3], np.tile([0.3, 0.004, 0.004], len(place))])
-    start = initial_filter_state(PARAMETERS)
+    start = initial_density(PARAMETERS)
     return start.but(
         mean=np.concatenate(
             [[0.0, 0.0, 1.0, 300.0], local_coordinates(origin, axes, place).ravel()]
@@ -66,27 +71,28 @@ FAR, NEAR = [130.0, 10.0, 5.0], [20.0, 5.0, 3.0]
 SCENE = ([[200.0, 0.0, 40.0], FAR, NEAR, [0.0, 200.0, 40.0], [-90.0, -100.0, 8.0]], [1, 2, 2, 1, 2])
 
 
-def moved(state: FilterState, x: float, y: float) -> FilterState:
+def moved(state: Density, x: float, y: float) -> Density:
     mean = state.mean.copy()
     mean[:2] = x, y
     return state.but(mean=mean)
 
 
 def test_only_scattering_points_out_of_view_become_inactive() -> None:
-    state = deactivate(state_with(*SCENE), PARAMETERS)
+    state, inactive = deactivate(state_with(*SCENE), NOTHING, PARAMETERS)
     assert state.track_id.tolist() == [1, 3, 4]
-    assert sorted(state.all_track_ids.tolist()) == [1, 2, 3, 4, 5]
-    assert len(state.inactive) == 2
-    again = deactivate(state, PARAMETERS)
-    assert again is state
-    assert reactivate(state, PARAMETERS) is state
+    assert sorted(all_ids(state, inactive).tolist()) == [1, 2, 3, 4, 5]
+    assert len(inactive) == 2
+    for unchanged in (deactivate, reactivate):
+        again, same = unchanged(state, inactive, PARAMETERS)
+        assert again is state and same is inactive
 
 
 def test_what_was_inactive_while_nothing_happened_is_as_it_was_given_the_anchors() -> None:
     before = state_with(*SCENE)
-    after = reactivate(moved(deactivate(before, PARAMETERS), 120.0, 0.0), PARAMETERS)
+    state, inactive = deactivate(before, NOTHING, PARAMETERS)
+    after, rest = reactivate(moved(state, 120.0, 0.0), inactive, PARAMETERS)
     assert after.track_id.tolist() == [1, 3, 4, 2]
-    assert len(after.inactive) == 1
+    assert len(rest) == 1
     old = np.r_[7:10]  # track 2 before, now the last block
     new = np.r_[13:16]
     anchors_old, anchors_new = np.r_[4:7, 13:16], np.r_[4:7, 10:13]
@@ -105,15 +111,15 @@ def test_what_was_inactive_while_nothing_happened_is_as_it_was_given_the_anchors
 def test_an_inactive_landmark_learns_what_its_anchors_learn() -> None:
     """As a Kalman update of all would have it, were it independent of the rest given them."""
     before = state_with(*SCENE)
-    inactive = deactivate(before, PARAMETERS)
+    active, inactive = deactivate(before, NOTHING, PARAMETERS)
     old, anchors = np.r_[7:10], np.r_[4:7, 13:16]
-    learnt = inactive.mean.copy()
+    learnt = active.mean.copy()
     learnt[[4, 5, 6, 10, 11, 12]] += [0.1, 0.002, 0.0, -0.2, 0.0, 0.001]
-    shrunk = inactive.covariance.copy()
+    shrunk = active.covariance.copy()
     factor = np.ones(len(shrunk))
     factor[[4, 5, 6, 10, 11, 12]] = 0.5
-    state = inactive.but(mean=learnt, covariance=shrunk * np.outer(factor, factor))
-    landmarks = state.inactive.landmarks
+    state = active.but(mean=learnt, covariance=shrunk * np.outer(factor, factor))
+    landmarks = inactive.landmarks
     assert landmarks is not None
     q, covariance = current(state, landmarks)
     row = landmarks.track_id.tolist().index(2)
@@ -129,9 +135,9 @@ def test_an_inactive_landmark_learns_what_its_anchors_learn() -> None:
 
 def test_without_its_anchor_an_inactive_landmark_is_what_it_was() -> None:
     before = state_with(*SCENE)
-    state = deactivate(before, PARAMETERS)
+    state, inactive = deactivate(before, NOTHING, PARAMETERS)
     lost = state.only(np.array([False, True, True]), np.array([False, True, True]))
-    after = reactivate(moved(lost, 120.0, 0.0), PARAMETERS)
+    after, _ = reactivate(moved(lost, 120.0, 0.0), inactive, PARAMETERS)
     np.testing.assert_allclose(after.mean[-3:], before.mean[7:10])
     np.testing.assert_allclose(after.covariance[-3:, -3:], before.covariance[7:10, 7:10])
     assert not after.covariance[-3:, :-3].any()
@@ -139,9 +145,9 @@ def test_without_its_anchor_an_inactive_landmark_is_what_it_was() -> None:
 
 def test_a_map_without_anchors_becomes_inactive_too() -> None:
     before = state_with([FAR, NEAR], [SP, SP])
-    state = deactivate(before, PARAMETERS)
+    state, inactive = deactivate(before, NOTHING, PARAMETERS)
     assert state.track_id.tolist() == [2]
-    after = reactivate(moved(state, 120.0, 0.0), PARAMETERS)
+    after, _ = reactivate(moved(state, 120.0, 0.0), inactive, PARAMETERS)
     np.testing.assert_allclose(after.covariance[-3:, -3:], before.covariance[4:7, 4:7])
 
 
@@ -149,14 +155,15 @@ def test_what_hardly_exists_is_forgotten_when_it_is_left_behind() -> None:
     state = state_with(*SCENE)
     existence = state.existence.copy()
     existence[[1, 2]] = 0.5 * FORGOTTEN
-    state = deactivate(state.but(existence=existence), PARAMETERS)
-    assert sorted(state.all_track_ids.tolist()) == [1, 3, 4, 5]
+    state, inactive = deactivate(state.but(existence=existence), NOTHING, PARAMETERS)
+    assert sorted(all_ids(state, inactive).tolist()) == [1, 3, 4, 5]
 
 
 def test_the_reported_map_holds_those_inactive() -> None:
     before = state_with(*SCENE)
-    shown = reported_landmarks(before, PARAMETERS)
-    inactive = reported_landmarks(deactivate(before, PARAMETERS), PARAMETERS)
+    shown = reported_landmarks(posterior_of(before, NOTHING), PARAMETERS)
+    after = posterior_of(*deactivate(before, NOTHING, PARAMETERS))
+    inactive = reported_landmarks(after, PARAMETERS)
     np.testing.assert_array_equal(inactive.ids, shown.ids)
     np.testing.assert_array_equal(inactive.types, shown.types)
     np.testing.assert_allclose(inactive.positions, shown.positions, atol=1e-9)
@@ -215,18 +222,19 @@ def test_two_laps_give_what_a_filter_gives_that_keeps_all_active(
     parameters = filter_parameters_for(scenario)
     span = [ControlSpan(scenario.controls[0], scenario.period)]
 
-    def run() -> tuple[list[FilterState], int]:
-        state, states, least = initial_filter_state(parameters), [], 99
+    def run() -> tuple[list[Posterior], int]:
+        state, states, least = initial_posterior(parameters), [], 99
         for snapshot in simulate(scenario, np.random.default_rng(2)):
             spans = span if snapshot.step else []
-            state = step(state, snapshot.measurements, spans, 22.22, parameters).state
+            observed = prepare(snapshot.measurements, parameters)
+            state, _ = step(state, observed, spans, 22.22, parameters)
             states.append(state)
-            least = min(least, len(state.track_id)) if snapshot.step > 30 else least
+            least = min(least, len(state.density.track_id)) if snapshot.step > 30 else least
         return states, least
 
     reduced, fewest = run()
     module = __import__("sys").modules[step_function.__module__]
-    monkeypatch.setattr(module, "deactivate", lambda state, _: state)
+    monkeypatch.setattr(module, "deactivate", lambda density, inactive, _: (density, inactive))
     active, fewest_active = run()
     assert fewest < fewest_active
     for one, other in zip(reduced, active, strict=True):

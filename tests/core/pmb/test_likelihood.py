@@ -13,11 +13,12 @@ from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.models.channel import observe, residual
 from dopslam_ros.core.models.measurements import MeasurementSet
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
+from dopslam_ros.core.pmb import Density, FilterParameters, initial_density
 from dopslam_ros.core.pmb import hypotheses as hypotheses_kernels
 from dopslam_ros.core.pmb import likelihood as kernels
 from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.coordinates import frames, local_coordinates, positions
+from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
 from dopslam_ros.core.pmb.hypotheses import LocalWeights
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
 from dopslam_ros.core.pmb.observed import prepare
@@ -42,26 +43,26 @@ MASKS = [
 
 
 def local_likelihoods(
-    state: FilterState, observed: Observed, speed: float, parameters: FilterParameters
+    state: Density, observed: Observed, speed: float, parameters: FilterParameters
 ) -> Likelihoods:
     """The local likelihoods that a step has."""
-    fit, definite = _local_likelihoods(state.density, observed, speed, parameters.constants)
+    fit, definite = _local_likelihoods(state, observed, speed, parameters.constants)
     assert definite
     return fit
 
 
 def local_weights(
-    state: FilterState,
+    state: Density,
     observed: Observed,
     fit: Likelihoods,
     births: Births,
     parameters: FilterParameters,
 ) -> LocalWeights:
     """The local weights that a step has."""
-    return _local_weights(state.density, observed, fit, births, parameters.constants)
+    return _local_weights(state, observed, fit, births, parameters.constants)
 
 
-def two_track_state(seed: int = 0) -> FilterState:
+def two_track_state(seed: int = 0) -> Density:
     """A VA-or-SP track and an SP track; everything correlated with everything."""
     rng = np.random.default_rng(seed)
     ue = np.array([70.0, 1.0, 1.5, 300.0])
@@ -73,7 +74,7 @@ def two_track_state(seed: int = 0) -> FilterState:
     scale = np.sqrt(np.diag(correlation))
     std = np.array([0.3, 0.3, 0.01, 0.3, 2.0, 0.02, 0.02, *[1.0, 0.03, 0.03] * 2])
     covariance = correlation / np.outer(scale, scale) * np.outer(std, std)
-    return initial_filter_state(PARAMETERS).but(
+    return initial_density(PARAMETERS).but(
         mean=np.concatenate([ue, local_coordinates(origin, axes, position).ravel()]),
         covariance=covariance,
         origin=origin,
@@ -87,15 +88,15 @@ def two_track_state(seed: int = 0) -> FilterState:
     )
 
 
-def h(state: FilterState, mean: FloatArray) -> FloatArray:
+def h(state: Density, mean: FloatArray) -> FloatArray:
     """(C + 1, 6) what would be heard if the joint vector were ``mean``."""
     moved = state.but(mean=mean)
-    places = np.vstack([PARAMETERS.bs, moved.positions])
+    places = np.vstack([PARAMETERS.bs, components_in_space(moved)[0]])
     types = np.concatenate([[0], state.component_type])
     return observe(moved.ue_mean, SPEED, places, types, PARAMETERS.bs).mean
 
 
-def sources_of(state: FilterState) -> tuple[FloatArray, FloatArray]:
+def sources_of(state: Density) -> tuple[FloatArray, FloatArray]:
     """(C + 1, 6) h and (C + 1, 6, n) its whole Jacobian by differences."""
     step = 1e-6
     rows = [
@@ -105,7 +106,7 @@ def sources_of(state: FilterState) -> tuple[FloatArray, FloatArray]:
     return h(state, state.mean), np.stack(rows, axis=2)
 
 
-def paths_near(state: FilterState, masks: list[list[bool]], seed: int) -> MeasurementSet:
+def paths_near(state: Density, masks: list[list[bool]], seed: int) -> MeasurementSet:
     """A path near a source for each mask, sources in turn; a covariance of its own for some."""
     rng = np.random.default_rng(seed)
     mean, _ = sources_of(state)
@@ -120,7 +121,7 @@ def paths_near(state: FilterState, masks: list[list[bool]], seed: int) -> Measur
 
 
 def density(
-    state: FilterState, measurements: MeasurementSet, source: int, path: int
+    state: Density, measurements: MeasurementSet, source: int, path: int
 ) -> tuple[float, float]:
     """ln N(z; h, S) and the squared distance over the components that were measured."""
     mean, rows = sources_of(state)
@@ -251,7 +252,7 @@ def test_what_vehicle_and_sp_have_in_common_does_not_blur_the_edge(correlation: 
     assert fit.detection[2] == pytest.approx(0.9 * share_inside(state, 40_000), abs=0.02)
 
 
-def with_sp_at(state: FilterState, position: list[float]) -> FilterState:
+def with_sp_at(state: Density, position: list[float]) -> Density:
     """The first SP component moved, its frame pointing there."""
     place, origin, axes = np.array([position]), state.origin[1:2], state.axes.copy()
     axes[1] = frames(place - origin)[0]
@@ -260,7 +261,7 @@ def with_sp_at(state: FilterState, position: list[float]) -> FilterState:
     return state.but(mean=mean, axes=axes)
 
 
-def share_inside(state: FilterState, count: int) -> float:
+def share_inside(state: Density, count: int) -> float:
     """How often the first SP component is in the field of view, by sampling."""
     drawn = np.random.default_rng(0).multivariate_normal(state.mean, state.covariance, count)
     repeated = [np.repeat(part[1:2], count, axis=0) for part in (state.origin, state.axes)]

@@ -11,17 +11,20 @@ from dopslam_ros.core.linalg.arrays import IntArray
 from dopslam_ros.core.linalg.jit import from_python
 from dopslam_ros.core.models.motion import ControlSpan
 from dopslam_ros.core.pmb import (
+    Density,
     FilterParameters,
-    FilterState,
-    initial_filter_state,
+    Posterior,
+    initial_density,
+    initial_posterior,
+    prepare,
     step,
     step_kernels,
 )
 from dopslam_ros.core.pmb import localisation as localise_kernels
-from dopslam_ros.core.pmb import observed as evidence_module
 from dopslam_ros.core.pmb import update as update_kernels
 from dopslam_ros.core.pmb.known_map import map_of, with_map
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
+from dopslam_ros.core.pmb.posterior import posterior_of
 from dopslam_ros.core.pmb.step import advance
 from dopslam_ros.core.pmb.update import Linearised, Updated
 from dopslam_ros.core.settings.layout import VEHICLE
@@ -40,54 +43,60 @@ KNOWN = replace(PARAMETERS, mapping=False)
 UE = len(VEHICLE)
 
 
-def condition(
-    state: FilterState, fit: Likelihoods, observed: Observed, source: IntArray
-) -> Updated:
+def condition(state: Density, fit: Likelihoods, observed: Observed, source: IntArray) -> Updated:
     """The update of a density about its mean."""
-    about = Linearised(state.mean, state.density.vehicle, state.start, fit, observed)
+    about = Linearised(state.mean, state.vehicle, state.start, fit, observed)
     return _condition(about, state.covariance, source)
 
 
 def run(
-    scenario: Scenario, seed: int, state: FilterState, parameters: FilterParameters
-) -> list[tuple[Snapshot, FilterState]]:
+    scenario: Scenario, seed: int, state: Posterior, parameters: FilterParameters
+) -> list[tuple[Snapshot, Posterior]]:
     """The filter over a simulated run."""
     spans: list[ControlSpan] = []
     outcome = []
     for snapshot in simulate(scenario, np.random.default_rng(seed)):
         speed = snapshot.control.speed
-        state = step(state, snapshot.measurements, spans, speed, parameters).state
+        observed = prepare(snapshot.measurements, parameters)
+        state, _ = step(state, observed, spans, speed, parameters)
         spans = [ControlSpan(snapshot.control, scenario.period)]
         outcome.append((snapshot, state))
     return outcome
 
 
 @pytest.fixture(scope="module")
-def learned() -> FilterState:
+def learned() -> Posterior:
     """The density at the end of a run of the paper's scene."""
-    return run(SCENARIO, 3, initial_filter_state(PARAMETERS), PARAMETERS)[-1][1]
+    return run(SCENARIO, 3, initial_posterior(PARAMETERS), PARAMETERS)[-1][1]
 
 
-def test_a_map_keeps_its_own_correlations_and_loses_the_vehicle(learned: FilterState) -> None:
-    bare = map_of(learned)
+def in_map_of(known: Posterior) -> Posterior:
+    """The vehicle at the start, in a map that was learned before."""
+    density = with_map(initial_density(KNOWN), known.density, KNOWN)
+    return posterior_of(density, known.inactive[0])
+
+
+def test_a_map_keeps_its_own_correlations_and_loses_the_vehicle(learned: Posterior) -> None:
+    known = learned.density
+    bare = map_of(known)
     assert not bare.mean[:UE].any()
     assert not bare.covariance[:UE].any()
-    moved = with_map(initial_filter_state(PARAMETERS), bare, PARAMETERS)
+    moved = with_map(initial_density(PARAMETERS), bare, PARAMETERS)
     np.testing.assert_array_equal(moved.ue_covariance, PARAMETERS.initial_covariance)
     assert not moved.covariance[:UE, UE:].any()
-    np.testing.assert_array_equal(moved.covariance[UE:, UE:], learned.covariance[UE:, UE:])
+    np.testing.assert_array_equal(moved.covariance[UE:, UE:], known.covariance[UE:, UE:])
     assert np.abs(moved.covariance[UE : UE + 3, UE + 3 : UE + 6]).max() > 0.0
-    apart = with_map(learned, bare, replace(PARAMETERS, coupling="marginal"))
+    apart = with_map(known, bare, replace(PARAMETERS, coupling="marginal"))
     assert not apart.covariance[UE : UE + 3, UE + 3 : UE + 6].any()
 
 
-def test_the_update_is_schmidts(learned: FilterState) -> None:
+def test_the_update_is_schmidts(learned: Posterior) -> None:
     """Gains by the textbook's K = P H' S^-1, the rows of the map zeroed, in Joseph's form."""
     snapshot = next(simulate(SCENARIO, np.random.default_rng(8)))
     speed = snapshot.control.speed
-    state = advance(with_map(initial_filter_state(KNOWN), learned, KNOWN), [], KNOWN)
-    observed = evidence_module.prepare(snapshot.measurements, KNOWN)
-    association = associate_paths(state.density, observed, speed, KNOWN.constants)
+    state = advance(in_map_of(learned), [], KNOWN).density
+    observed = prepare(snapshot.measurements, KNOWN)
+    association = associate_paths(state, observed, speed, KNOWN.constants)
     best = association.hypotheses
     source, fit, n = best.source[:1], association.likelihoods, len(state.mean)
     assert (source >= 0).sum() > 3
@@ -114,17 +123,17 @@ def test_the_update_is_schmidts(learned: FilterState) -> None:
     mean = state.mean + gain @ np.concatenate(innovation)
 
     updated = condition(state, fit, observed, source)
-    after = consider(state.density, updated, np.ones(1), True)
+    after = consider(state, updated, np.ones(1), True)
     np.testing.assert_allclose(after.mean, mean, atol=1e-9)
     np.testing.assert_allclose(after.covariance, joseph, atol=1e-9)
 
 
-def test_the_merge_over_hypotheses_matches_the_moments(learned: FilterState) -> None:
+def test_the_merge_over_hypotheses_matches_the_moments(learned: Posterior) -> None:
     snapshot = next(simulate(SCENARIO, np.random.default_rng(9)))
-    state = advance(with_map(initial_filter_state(KNOWN), learned, KNOWN), [], KNOWN)
-    observed = evidence_module.prepare(snapshot.measurements, KNOWN)
-    association = associate_paths(state.density, observed, snapshot.control.speed, KNOWN.constants)
-    source, before = association.hypotheses.source, state.density
+    state = advance(in_map_of(learned), [], KNOWN).density
+    observed = prepare(snapshot.measurements, KNOWN)
+    association = associate_paths(state, observed, snapshot.control.speed, KNOWN.constants)
+    source, before = association.hypotheses.source, state
     assert len(source) > 2
     weight = np.linspace(1.0, 2.0, len(source))
     weight /= weight.sum()
@@ -156,9 +165,9 @@ def test_nothing_is_born_and_no_byte_of_the_map_in_view_changes() -> None:
         landmarks=SCENARIO.landmarks[SCENARIO.landmark_types == 1],
         landmark_types=SCENARIO.landmark_types[SCENARIO.landmark_types == 1],
     )
-    first = run(walls, 4, initial_filter_state(PARAMETERS), PARAMETERS)[-1][1]
-    start = with_map(initial_filter_state(KNOWN), first, KNOWN)
-    end = run(walls, 5, start, KNOWN)[-1][1]
+    first = run(walls, 4, initial_posterior(PARAMETERS), PARAMETERS)[-1][1]
+    before = in_map_of(first)
+    start, end = before.density, run(walls, 5, before, KNOWN)[-1][1].density
     for name in ("origin", "axes", "component_weight", "track_id", "existence"):
         assert getattr(end, name).tobytes() == getattr(start, name).tobytes(), name
     assert end.mean[UE:].tobytes() == start.mean[UE:].tobytes()
@@ -177,9 +186,8 @@ def test_the_covariance_is_honest_on_maps_of_earlier_runs() -> None:
     """
     nees, sideways = [], []
     for seed in range(60):
-        first = run(SCENARIO, 1000 + seed, initial_filter_state(PARAMETERS), PARAMETERS)[-1][1]
-        start = with_map(initial_filter_state(KNOWN), first, KNOWN)
-        outcome = run(SCENARIO, 5000 + seed, start, KNOWN)
+        first = run(SCENARIO, 1000 + seed, initial_posterior(PARAMETERS), PARAMETERS)[-1][1]
+        outcome = run(SCENARIO, 5000 + seed, in_map_of(first), KNOWN)
         errors = np.array([state.ue_mean - truth.state for truth, state in outcome])
         errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
         covariances = np.array([state.ue_covariance for _, state in outcome])

@@ -14,13 +14,19 @@ from dopslam_ros.core.models.channel import observe
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control, ControlSpan
 from dopslam_ros.core.pmb import (
+    Density,
     FilterParameters,
-    FilterState,
-    initial_filter_state,
+    Posterior,
+    initial_density,
+    initial_posterior,
+    prepare,
     reported_landmarks,
     step,
 )
 from dopslam_ros.core.pmb.coordinates import frames, local_coordinates
+from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
+from dopslam_ros.core.pmb.inactive_grid import InactiveGrid
+from dopslam_ros.core.pmb.posterior import posterior_of
 from dopslam_ros.core.pmb.step import predict
 from dopslam_ros.core.settings.layout import DIM, NONE, LandmarkType
 from dopslam_ros.simulation.matched import filter_parameters_for
@@ -39,10 +45,10 @@ def empty_set() -> MeasurementSet:
     return set_of(np.zeros((0, DIM)))
 
 
-def with_map(parameters: FilterParameters, positions: FloatArray, types: list[int]) -> FilterState:
+def with_map(parameters: FilterParameters, positions: FloatArray, types: list[int]) -> Density:
     """A sure landmark at each position, 0.5 m well known."""
     count = len(types)
-    start = initial_filter_state(parameters)
+    start = initial_density(parameters)
     origin = np.tile([60.0, -3.0, 0.0], (count, 1))
     axes = frames(positions - origin)
     q = local_coordinates(origin, axes, positions)
@@ -59,6 +65,11 @@ def with_map(parameters: FilterParameters, positions: FloatArray, types: list[in
         existence=np.full(count, 0.99),
         next_id=count + 1,
     )
+
+
+def alone(density: Density) -> Posterior:
+    """The posterior that has no other hypothesis, and nothing out of view."""
+    return posterior_of(density, InactiveGrid())
 
 
 class HandWrittenEkf:
@@ -129,12 +140,13 @@ def test_with_the_bs_alone_the_filter_is_an_ekf(coupling: str) -> None:
     )
     # One association only, else a second one says that the path was of a new landmark.
     parameters = filter_parameters_for(scenario, gamma=1, coupling=coupling)
-    state, ekf = initial_filter_state(parameters), HandWrittenEkf(parameters)
+    state, ekf = initial_posterior(parameters), HandWrittenEkf(parameters)
     updates = 0
     for snapshot in simulate(scenario, np.random.default_rng(4)):
         spans = [SPAN] if snapshot.step else []
-        outcome = step(state, snapshot.measurements, spans, SPEED, parameters)
-        state, said = outcome.state, outcome.associations
+        state, said = step(
+            state, prepare(snapshot.measurements, parameters), spans, SPEED, parameters
+        )
         if snapshot.step:
             ekf.predict()
         nis = 0.0
@@ -156,7 +168,7 @@ def test_predict_moves_the_vehicle_and_its_correlations_only() -> None:
     root = rng.normal(size=(10, 10))
     state = with_map(parameters, rng.normal(0.0, 50.0, (2, 3)), [1, 2])
     state = state.but(covariance=root @ root.T + np.eye(10))
-    predicted = predict(state, [SPAN], parameters)
+    predicted = predict(alone(state), [SPAN], parameters).density
     ekf = HandWrittenEkf(parameters)
     f = np.eye(10)
     moved = ekf.f(state.ue_mean)
@@ -168,29 +180,32 @@ def test_predict_moves_the_vehicle_and_its_correlations_only() -> None:
     difference[2] = wrap_angle(difference[2])
     np.testing.assert_allclose(difference, 0.0, atol=1e-9)
     np.testing.assert_array_equal(predicted.mean[4:], state.mean[4:])
-    assert predict(state, [], parameters) is state
+    start = alone(state)
+    assert predict(start, [], parameters) is start
 
 
 @pytest.mark.parametrize("coupling", ["joint", "marginal"])
 def test_an_empty_set_is_a_prediction_and_misses(coupling: str) -> None:
     parameters = FilterParameters(coupling=coupling)
-    state = with_map(parameters, np.array([[200.0, 0.0, 40.0], [128.0, 0.0, 5.0]]), [1, 2])
-    outcome = step(state, empty_set(), [SPAN], SPEED, parameters)
+    places = np.array([[200.0, 0.0, 40.0], [128.0, 0.0, 5.0]])
+    state = alone(with_map(parameters, places, [1, 2]))
+    after, said = step(state, prepare(empty_set(), parameters), [SPAN], SPEED, parameters)
     predicted = predict(state, [SPAN], parameters)
-    np.testing.assert_allclose(outcome.state.ue_mean, predicted.ue_mean)
-    np.testing.assert_allclose(outcome.state.ue_covariance, predicted.ue_covariance)
+    np.testing.assert_allclose(after.ue_mean, predicted.ue_mean)
+    np.testing.assert_allclose(after.ue_covariance, predicted.ue_covariance)
     # The VA was missed; the SP is out of sight and loses nothing.
     expected = 0.99 * 0.1 / (0.01 + 0.99 * 0.1)
-    np.testing.assert_allclose(outcome.state.existence, [expected, 0.99])
-    assert outcome.associations.ids.shape == (1, 0)
-    np.testing.assert_allclose(outcome.associations.weight, [1.0])
+    np.testing.assert_allclose(after.density.existence, [expected, 0.99])
+    assert said.ids.shape == (1, 0)
+    np.testing.assert_allclose(said.weight, [1.0])
 
 
 def test_an_empty_set_before_anything_is_known() -> None:
     parameters = FilterParameters()
-    outcome = step(initial_filter_state(parameters), empty_set(), [], SPEED, parameters)
-    np.testing.assert_array_equal(outcome.state.mean, parameters.initial_state)
-    np.testing.assert_allclose(outcome.state.covariance, parameters.initial_covariance)
+    start, nothing = initial_posterior(parameters), prepare(empty_set(), parameters)
+    after = step(start, nothing, [], SPEED, parameters)[0].density
+    np.testing.assert_array_equal(after.mean, parameters.initial_state)
+    np.testing.assert_allclose(after.covariance, parameters.initial_covariance)
 
 
 def test_a_path_far_from_everything_becomes_a_new_landmark_with_a_new_id() -> None:
@@ -198,11 +213,13 @@ def test_a_path_far_from_everything_becomes_a_new_landmark_with_a_new_id() -> No
     state = with_map(parameters, np.array([[200.0, 0.0, 40.0]]), [int(LandmarkType.VA)])
     new = np.array([[10.0, 180.0, 40.0]])
     values = observe(state.ue_mean, SPEED, new, np.array([1]), parameters.bs).mean
-    outcome = step(state, set_of(values), [], SPEED, parameters)
-    assert outcome.associations.ids[0].tolist() == [NONE]
-    assert outcome.associations.born.tolist() == [2]
-    assert outcome.state.track_id.tolist() == [1, 2] and outcome.state.next_id == 3
-    born = outcome.state.positions[outcome.state.component_track == 1]
+    observed = prepare(set_of(values), parameters)
+    posterior, said = step(alone(state), observed, [], SPEED, parameters)
+    after = posterior.density
+    assert said.ids[0].tolist() == [NONE]
+    assert said.born.tolist() == [2]
+    assert after.track_id.tolist() == [1, 2] and after.next_id == 3
+    born = components_in_space(after)[0][after.component_track == 1]
     assert np.linalg.norm(born[0] - new[0]) < 0.5
 
 
@@ -210,18 +227,19 @@ def test_the_order_of_the_paths_does_not_matter() -> None:
     scenario = load_scenario("paper")
     parameters = filter_parameters_for(scenario)
     rng = np.random.default_rng(3)
-    one = other = initial_filter_state(parameters)
+    one = other = initial_posterior(parameters)
     for snapshot in simulate(scenario, np.random.default_rng(12)):
         if snapshot.step == 6:
             break
         spans = [SPAN] if snapshot.step else []
         order = rng.permutation(len(snapshot.measurements))
         shuffled = set_of(snapshot.measurements.values[order])
-        one = step(one, snapshot.measurements, spans, SPEED, parameters).state
-        other = step(other, shuffled, spans, SPEED, parameters).state
+        one = step(one, prepare(snapshot.measurements, parameters), spans, SPEED, parameters)[0]
+        other = step(other, prepare(shuffled, parameters), spans, SPEED, parameters)[0]
         np.testing.assert_allclose(one.ue_mean, other.ue_mean, rtol=1e-6)
         np.testing.assert_allclose(one.ue_covariance, other.ue_covariance, rtol=1e-5, atol=1e-9)
-        np.testing.assert_allclose(np.sort(one.existence), np.sort(other.existence), rtol=1e-4)
+        ours, theirs = np.sort(one.density.existence), np.sort(other.density.existence)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4)
 
 
 SINGULAR = {
@@ -240,7 +258,7 @@ SINGULAR = {
 def test_singular_geometry_leaves_the_state_finite(name: str, coupling: str) -> None:
     position, kind = SINGULAR[name]
     parameters = FilterParameters(coupling=coupling)
-    state = with_map(parameters, np.array([position, [200.0, 0.0, 40.0]]), [kind, 1])
+    state = alone(with_map(parameters, np.array([position, [200.0, 0.0, 40.0]]), [kind, 1]))
     values = observe(
         state.ue_mean,
         SPEED,
@@ -249,17 +267,18 @@ def test_singular_geometry_leaves_the_state_finite(name: str, coupling: str) -> 
         parameters.bs,
     ).mean
     for spans in ([], [SPAN]):
-        state = step(state, set_of(values), spans, SPEED, parameters).state
-        assert np.isfinite(state.mean).all() and np.isfinite(state.existence).all()
-        assert np.isfinite(state.component_weight).all()
-        assert np.linalg.eigvalsh(state.covariance)[0] > 0.0
+        state = step(state, prepare(set_of(values), parameters), spans, SPEED, parameters)[0]
+        after = state.density
+        assert np.isfinite(after.mean).all() and np.isfinite(after.existence).all()
+        assert np.isfinite(after.component_weight).all()
+        assert np.linalg.eigvalsh(after.covariance)[0] > 0.0
 
 
 def test_a_vehicle_right_under_the_bs_keeps_its_state() -> None:
     parameters = FilterParameters(initial_state=(0.0, 0.0, 0.3, 300.0))
-    state = initial_filter_state(parameters)
+    state = initial_posterior(parameters)
     values = np.array([[340.0, 0.1, math.pi / 2, 0.2, -math.pi / 2, 0.0]])
-    after = step(state, set_of(values), [], SPEED, parameters).state
+    after = step(state, prepare(set_of(values), parameters), [], SPEED, parameters)[0].density
     assert np.isfinite(after.mean).all() and np.linalg.eigvalsh(after.covariance)[0] > 0.0
 
 
@@ -267,17 +286,19 @@ def test_a_vehicle_right_under_the_bs_keeps_its_state() -> None:
 def test_nonsense_paths_leave_the_state_finite(seed: int) -> None:
     parameters = FilterParameters()
     rng = np.random.default_rng(seed)
-    state = with_map(parameters, np.array([[200.0, 0.0, 40.0], [99.0, 0.0, 10.0]]), [1, 2])
+    places = np.array([[200.0, 0.0, 40.0], [99.0, 0.0, 10.0]])
+    state = alone(with_map(parameters, places, [1, 2]))
     for _ in range(6):
         values = rng.uniform(-1.0, 1.0, (rng.integers(1, 12), DIM))
         values = values * [2000.0, math.pi, math.pi / 2, math.pi, math.pi / 2, 100.0]
         values[rng.random(values.shape) < 0.3] = np.nan
         values[:, 0] = np.where(np.isnan(values).all(axis=1), 400.0, values[:, 0])
-        state = step(state, set_of(values), [SPAN], SPEED, parameters).state
-        assert np.isfinite(state.mean).all()
-        assert np.linalg.eigvalsh(state.covariance)[0] > 0.0
-        assert ((state.existence >= 0.0) & (state.existence <= 1.0)).all()
-        totals = np.bincount(state.component_track, state.component_weight)
+        state = step(state, prepare(set_of(values), parameters), [SPAN], SPEED, parameters)[0]
+        after = state.density
+        assert np.isfinite(after.mean).all()
+        assert np.linalg.eigvalsh(after.covariance)[0] > 0.0
+        assert ((after.existence >= 0.0) & (after.existence <= 1.0)).all()
+        totals = np.bincount(after.component_track, after.component_weight)
         np.testing.assert_allclose(totals, 1.0)
 
 
@@ -296,16 +317,17 @@ def test_nonsense_paths_leave_the_state_finite(seed: int) -> None:
 def test_extreme_settings_leave_the_state_finite(settings: dict[str, float]) -> None:
     scenario = load_scenario("paper")
     parameters = filter_parameters_for(scenario, **settings)
-    state = initial_filter_state(parameters)
+    state = initial_posterior(parameters)
     for snapshot in simulate(scenario, np.random.default_rng(8)):
         if snapshot.step == 12:
             break
         spans = [SPAN] if snapshot.step else []
-        outcome = step(state, snapshot.measurements, spans, SPEED, parameters)
-        state = outcome.state
-        assert np.isfinite(state.mean).all() and np.isfinite(state.existence).all()
-        assert np.linalg.eigvalsh(state.covariance)[0] > 0.0
-        assert outcome.associations.weight.sum() == pytest.approx(1.0)
+        observed = prepare(snapshot.measurements, parameters)
+        state, said = step(state, observed, spans, SPEED, parameters)
+        after = state.density
+        assert np.isfinite(after.mean).all() and np.isfinite(after.existence).all()
+        assert np.linalg.eigvalsh(after.covariance)[0] > 0.0
+        assert said.weight.sum() == pytest.approx(1.0)
 
 
 def test_the_map_is_reported_by_existence_and_spread() -> None:
@@ -320,11 +342,11 @@ def test_the_map_is_reported_by_existence_and_spread() -> None:
         track_id=np.array([3, 5, 9]),
         existence=np.array([0.49, 0.9, 0.9]),
     )
-    shown = reported_landmarks(state, parameters)
+    shown = reported_landmarks(alone(state), parameters)
     assert shown.ids.tolist() == [9] and shown.types.tolist() == [1]
     np.testing.assert_allclose(shown.type_probabilities, [[0.0, 0.6, 0.4]])
     np.testing.assert_allclose(shown.positions, [[9.0, 10.0, 11.0]])
     everything = replace(parameters, report_existence=0.0, report_std=100.0)
-    assert reported_landmarks(state, everything).ids.tolist() == [3, 5, 9]
-    nothing = reported_landmarks(initial_filter_state(parameters), parameters)
+    assert reported_landmarks(alone(state), everything).ids.tolist() == [3, 5, 9]
+    nothing = reported_landmarks(initial_posterior(parameters), parameters)
     assert nothing.positions.shape == (0, 3) and nothing.covariances.shape == (0, 3, 3)

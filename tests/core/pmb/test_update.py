@@ -11,14 +11,13 @@ from scipy.linalg import block_diag
 
 from dopslam_ros.core.linalg.arrays import BoolArray, FloatArray, IntArray
 from dopslam_ros.core.linalg.jit import from_python
-from dopslam_ros.core.pmb import FilterParameters, FilterState, initial_filter_state
+from dopslam_ros.core.pmb import Density, FilterParameters, initial_density
 from dopslam_ros.core.pmb import merge as merge_kernels
 from dopslam_ros.core.pmb import newborn as newborn_kernels
 from dopslam_ros.core.pmb import update as update_kernels
 from dopslam_ros.core.pmb.birth import Births
 from dopslam_ros.core.pmb.coordinates import frames, jacobians
 from dopslam_ros.core.pmb.coordinates_kernels import components_in_space
-from dopslam_ros.core.pmb.density import Density
 from dopslam_ros.core.pmb.hypotheses import Hypotheses
 from dopslam_ros.core.pmb.likelihood import Likelihoods, Observed
 from dopslam_ros.core.pmb.merge import Conditioned
@@ -36,11 +35,9 @@ PARAMETERS = FilterParameters()
 UNPRUNED = FilterParameters(prune_existence=0.0, prune_type=0.0)
 
 
-def condition(
-    state: FilterState, fit: Likelihoods, observed: Observed, source: IntArray
-) -> Updated:
+def condition(state: Density, fit: Likelihoods, observed: Observed, source: IntArray) -> Updated:
     """The update of a density about its mean."""
-    about = Linearised(state.mean, state.density.vehicle, state.start, fit, observed)
+    about = Linearised(state.mean, state.vehicle, state.start, fit, observed)
     return _condition(about, state.covariance, source)
 
 
@@ -49,14 +46,12 @@ def random_covariance(rng: np.random.Generator, *shape: int) -> FloatArray:
     return root @ np.swapaxes(root, -1, -2) + 0.5 * np.eye(shape[-1])
 
 
-def state_of(
-    rng: np.random.Generator, tracks: list[list[int]], existence: float = 0.9
-) -> FilterState:
+def state_of(rng: np.random.Generator, tracks: list[list[int]], existence: float = 0.9) -> Density:
     """A random density; ``tracks`` has the types of each track's components."""
     kinds = [kind for track in tracks for kind in track]
     owner = [number for number, track in enumerate(tracks) for _ in track]
     n = 4 + 3 * len(kinds)
-    return initial_filter_state(PARAMETERS).but(
+    return initial_density(PARAMETERS).but(
         mean=rng.normal(0.0, 5.0, n),
         covariance=random_covariance(rng, n),
         origin=rng.normal(0.0, 50.0, (len(kinds), 3)),
@@ -71,7 +66,7 @@ def state_of(
 
 
 def linear_problem(
-    rng: np.random.Generator, state: FilterState, used: BoolArray
+    rng: np.random.Generator, state: Density, used: BoolArray
 ) -> tuple[Observed, Likelihoods]:
     """Paths of a linear model: z = A_i s + B_i q_i + noise."""
     sources, count = len(state.component_track) + 1, len(used)
@@ -95,7 +90,7 @@ def linear_problem(
 
 
 def kalman(
-    state: FilterState, observed: Observed, fit: Likelihoods, source: list[int]
+    state: Density, observed: Observed, fit: Likelihoods, source: list[int]
 ) -> tuple[FloatArray, FloatArray]:
     """The textbook update in information form, one row of H per component that was measured."""
     information = np.linalg.inv(state.covariance)
@@ -116,7 +111,7 @@ def kalman(
     return covariance @ vector, covariance
 
 
-def joint_nis(state: FilterState, observed: Observed, fit: Likelihoods, source: list[int]) -> float:
+def joint_nis(state: Density, observed: Observed, fit: Likelihoods, source: list[int]) -> float:
     """v' S^-1 v with all rows of H, and so all of S, in one piece."""
     rows, noises, innovations = [np.zeros((0, len(state.mean)))], [], [np.zeros(0)]
     for path, i in enumerate(source):
@@ -218,7 +213,7 @@ def test_condition_says_where_a_covariance_is_not_positive_definite() -> None:
 
 def mixture(
     rng: np.random.Generator, tracks: list[list[int]], hypotheses: int
-) -> tuple[FilterState, Updated, FloatArray, FloatArray]:
+) -> tuple[Density, Updated, FloatArray, FloatArray]:
     """A density under each of some hypotheses of random weight, with the covariances (H, n, n).
 
     Each has a branch of its own.
@@ -237,7 +232,7 @@ def mixture(
 
 
 def merged_of(
-    state: FilterState,
+    state: Density,
     updated: Updated,
     existence: FloatArray,
     type_weight: FloatArray,
@@ -245,7 +240,7 @@ def merged_of(
     parameters: FilterParameters = UNPRUNED,
 ) -> Density:
     none = np.zeros(0, dtype=np.int64)
-    conditioned = Conditioned(state.density, none, updated, existence, type_weight)
+    conditioned = Conditioned(state, none, updated, existence, type_weight)
     return merge(weight, conditioned, parameters.constants)
 
 
@@ -329,7 +324,7 @@ def test_existence_and_types_follow_bayes() -> None:
     )
     detection = np.array([0.9, 0.9, 0.5, 0.8])
     source = np.array([[2, NONE], [3, 0], [NONE, NONE]])
-    existence, types = existence_and_types(state.density, detection, np.full(2, NONE), source)
+    existence, types = existence_and_types(state, detection, np.full(2, NONE), source)
     q = 0.7 * 0.1 + 0.3 * 0.5
     missed = np.array([0.6 * q / (0.4 + 0.6 * q), 0.9 * 0.2 / (0.1 + 0.9 * 0.2)])
     np.testing.assert_allclose(existence, [[1.0, missed[1]], [missed[0], 1.0], missed], rtol=1e-12)
@@ -355,8 +350,8 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     track = np.array([[NONE, NONE, NONE], [NONE, 0, 1]])
     association = Hypotheses(track, track, np.array([0.4, 0.6]), 0.0)
     born = newborn(births.log_intensity, new, association, PARAMETERS.prune_existence)
-    density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
-    after = FilterState(density, state.inactive)
+    after, birth_track = augment(state, births, born, born.kept, PARAMETERS.constants)
+    position, covariance = components_in_space(after)
     assert birth_track.tolist() == [1, NONE, 2]
     assert after.track_id.tolist() == [1, 2, 3] and after.next_id == 4
     np.testing.assert_allclose(after.existence, [0.9, 0.5, 0.5])  # rho / (c + rho)
@@ -370,12 +365,8 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     for number, (kind, path) in enumerate(kept):
         block = slice(7 + 3 * number, 10 + 3 * number)
         np.testing.assert_allclose(gains[number], births.gain[kind, path], atol=1e-9)
-        np.testing.assert_allclose(after.positions[1 + number], births.position[kind, path])
-        np.testing.assert_allclose(
-            components_in_space(after.density)[1][1 + number],
-            births.covariance[kind, path],
-            atol=1e-8,
-        )
+        np.testing.assert_allclose(position[1 + number], births.position[kind, path])
+        np.testing.assert_allclose(covariance[1 + number], births.covariance[kind, path], atol=1e-8)
         for other in range(number):
             across = slice(7 + 3 * other, 10 + 3 * other)
             cross = to_position[number] @ after.covariance[block, across] @ to_position[other].T
@@ -387,7 +378,7 @@ def test_augment_appends_births_correlated_through_the_vehicle() -> None:
     np.testing.assert_allclose(after.covariance, after.covariance.T)
 
 
-def gains_of(state: FilterState) -> list[FloatArray]:
+def gains_of(state: Density) -> list[FloatArray]:
     """How q of the components born follows the vehicle."""
     regression = np.linalg.solve(state.covariance[:7, :7], state.covariance[:7, 7:]).T
     np.testing.assert_allclose(regression[:, 4:], 0.0, atol=1e-9)  # the vehicle alone
@@ -402,12 +393,12 @@ def test_a_birth_exists_only_where_its_path_is_free() -> None:
     track = np.array([[NONE, NONE], [1, NONE]])
     association = Hypotheses(track, track, np.array([0.5, 0.5]), 0.0)
     born = newborn(births.log_intensity, new, association, PARAMETERS.prune_existence)
-    density, birth_track = augment(state.density, births, born, born.kept, PARAMETERS.constants)
+    density, birth_track = augment(state, births, born, born.kept, PARAMETERS.constants)
     existence, _ = existence_and_types(density, np.full(2, 0.9), birth_track, track)
     np.testing.assert_allclose(existence[:, 1:], [[0.25, 0.25], [0.0, 0.25]])
 
 
-def alone(state: FilterState, share: FloatArray, existence: FloatArray) -> Density:
+def alone(state: Density, share: FloatArray, existence: FloatArray) -> Density:
     """What is kept where there is one hypothesis, with the defaults."""
     n = len(state.mean)
     none = np.zeros(0, dtype=np.int64)

@@ -9,8 +9,7 @@ import pytest
 
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.models.motion import ControlSpan
-from dopslam_ros.core.pmb.state import initial_filter_state
-from dopslam_ros.core.pmb.step import step
+from dopslam_ros.core.pmb import initial_posterior, prepare, step
 from dopslam_ros.core.settings.filtering import FilterParameters
 from dopslam_ros.core.settings.layout import VEHICLE
 from dopslam_ros.simulation.matched import filter_parameters_for
@@ -47,14 +46,15 @@ def test_a_component_that_nothing_depends_on_changes_nothing(
     scenario = load_scenario(scene)
     plain = filter_parameters_for(scenario, coupling=coupling)
     more = with_one_more(plain)
-    state, longer = initial_filter_state(plain), initial_filter_state(more)
+    state, longer = initial_posterior(plain), initial_posterior(more)
     spans: tuple[ControlSpan, ...] = ()
     for number, snapshot in enumerate(simulate(scenario, np.random.default_rng(3))):
         if number == 20:  # by then there is a map to localise in
             plain, more = replace(plain, mapping=mapping), replace(more, mapping=mapping)
         speed = snapshot.control.speed
-        state = step(state, snapshot.measurements, spans, speed, plain).state
-        longer = step(longer, snapshot.measurements, spans, speed, more).state
+        observed = prepare(snapshot.measurements, plain)
+        state, _ = step(state, observed, spans, speed, plain)
+        longer, _ = step(longer, observed, spans, speed, more)
         spans = (ControlSpan(snapshot.control, scenario.period),)
         ours, theirs = state.density, longer.density
         np.testing.assert_array_equal(without_it(theirs.mean), ours.mean)

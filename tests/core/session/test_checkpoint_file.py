@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dopslam_ros.core.pmb import FilterParameters, FilterState
+from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.pmb.inactive_grid import InactiveGrid
 from dopslam_ros.core.session.checkpoint import MAP, SNAPSHOT, Checkpoint, CheckpointError
 from dopslam_ros.core.session.checkpoint_file import MOST_BYTES, VERSION, decode, to_bytes
 from dopslam_ros.core.session.filtering import FilterSession
-from dopslam_ros.core.settings.layout import UE
+from dopslam_ros.core.settings.layout import VEHICLE
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import simulate
@@ -52,7 +52,7 @@ def parts(data: bytes) -> tuple[dict[str, Any], bytes]:
 def paper() -> Checkpoint:
     """A snapshot of the paper's scene, with landmarks inactive."""
     saved = session_after("paper", 20).snapshot()
-    assert len(saved.mixture.best.inactive) > 0
+    assert len(saved.posterior.inactive[0]) > 0
     return saved
 
 
@@ -73,15 +73,15 @@ def test_everything_comes_back(scene: str, steps: int, settings: dict[str, Any])
         assert to_bytes(again) == to_bytes(saved)
         assert (again.kind, again.stamp_ns) == (saved.kind, saved.stamp_ns)
         assert (again.controls, again.owed) == (saved.controls, saved.owed)
-        assert len(again.mixture.hypotheses) == len(saved.mixture.hypotheses)
-        for one, other in zip(again.mixture.hypotheses, saved.mixture.hypotheses, strict=True):
+        ours, theirs = again.posterior, saved.posterior
+        for one, other in zip(ours.densities, theirs.densities, strict=True):
             np.testing.assert_array_equal(one.mean, other.mean)
             np.testing.assert_array_equal(one.covariance, other.covariance)
-            np.testing.assert_array_equal(one.all_track_ids, other.all_track_ids)
-            assert list(one.inactive.cells) == list(other.inactive.cells)
-            for cell, same in zip(
-                one.inactive.cells.values(), other.inactive.cells.values(), strict=True
-            ):
+            np.testing.assert_array_equal(one.track_id, other.track_id)
+        for grid, expected in zip(ours.inactive, theirs.inactive, strict=True):
+            assert list(grid.cells) == list(expected.cells)
+            for cell, same in zip(grid.cells.values(), expected.cells.values(), strict=True):
+                np.testing.assert_array_equal(cell.track_id, same.track_id)
                 np.testing.assert_array_equal(cell.gain, same.gain)
                 assert cell.gain.flags.c_contiguous and cell.gain.flags.writeable
         again.check(saved.kind, filtering.parameters)
@@ -123,7 +123,7 @@ def test_flips_with_a_right_checksum_are_refused_or_make_a_sound_state(paper: Ch
         except CheckpointError:
             continue
         taken += 1
-        for state in saved.mixture.hypotheses:
+        for state in saved.posterior.densities:
             assert np.isfinite(state.mean).all() and np.isfinite(state.covariance).all()
             assert np.linalg.eigvalsh(state.covariance).min() > -1e-3
     assert 0 < taken < 3000
@@ -173,22 +173,20 @@ def test_another_version_and_other_files_are_refused(paper: Checkpoint) -> None:
             decode(data)
 
 
-def with_best(saved: Checkpoint, best: FilterState) -> Checkpoint:
-    return replace(saved, mixture=replace(saved.mixture, hypotheses=(best,)))
-
-
 def spoil(saved: Checkpoint, **changes: Any) -> Checkpoint:
-    return with_best(saved, saved.mixture.best.but(**changes))
+    spoilt = (saved.posterior.density.but(**changes),)
+    return replace(saved, posterior=replace(saved.posterior, densities=spoilt))
 
 
 def test_what_is_no_density_is_refused(paper: Checkpoint) -> None:
-    best = paper.mixture.best
+    best = paper.posterior.density
     mean, covariance = best.mean.copy(), best.covariance.copy()
     mean[5] = np.nan
     skew, negative = covariance.copy(), covariance.copy()
     skew[0, 1] += 1.0
     negative[[0, 1], [1, 0]] = 1.5 * np.sqrt(covariance[0, 0] * covariance[1, 1])
     mirrored = -best.axes
+    nearer = InactiveGrid(paper.posterior.inactive[0].cells, 0.0)
     spoilt = {
         "mean": spoil(paper, mean=mean),
         "symmetric": spoil(paper, covariance=skew),
@@ -201,8 +199,8 @@ def test_what_is_no_density_is_refused(paper: Checkpoint) -> None:
         "right angles": spoil(paper, axes=best.axes * 1.01),
         "same id": spoil(paper, track_id=best.track_id * 0 + 1),
         "id is out of range": spoil(paper, next_id=1),
-        "a reactivation distance": with_best(
-            paper, replace(best, inactive=InactiveGrid(best.inactive.cells, 0.0))
+        "a reactivation distance": replace(
+            paper, posterior=replace(paper.posterior, inactive=(nearer,))
         ),
         "no vehicle": replace(paper, kind=MAP),
         "where none can be": replace(paper, known=paper),
@@ -232,7 +230,7 @@ def test_another_filter_refuses_it(paper: Checkpoint) -> None:
         with pytest.raises(CheckpointError, match=name):
             saved.check(SNAPSHOT, other)
     known = session_after("paper", 20).known_map()
-    assert not known.mixture.best.mean[:UE].any()
+    assert not known.posterior.density.mean[: len(VEHICLE)].any()
     for name, other in others.items():
         if name in ("coupling", "density", "mapping"):
             known.check(MAP, other)

@@ -16,7 +16,7 @@ from dopslam_ros.core.session.checkpoint_file import decode, to_bytes
 from dopslam_ros.core.session.events import Event, Pauses
 from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.core.session.output import FilterOutput
-from dopslam_ros.core.settings.layout import UE
+from dopslam_ros.core.settings.layout import VEHICLE
 from dopslam_ros.simulation.matched import filter_parameters_for
 from dopslam_ros.simulation.scenario import load_scenario
 from dopslam_ros.simulation.simulator import Snapshot, simulate
@@ -24,6 +24,8 @@ from dopslam_ros.simulation.simulator import Snapshot, simulate
 SCENARIO = load_scenario("paper")
 PARAMETERS = filter_parameters_for(SCENARIO)
 KNOWN = replace(PARAMETERS, mapping=False)
+
+UE = len(VEHICLE)
 
 
 @pytest.fixture(scope="module")
@@ -123,14 +125,16 @@ def test_reset_keeps_the_map_of_the_start_and_not_a_later_one(snapshots: list[Sn
     filtering.replace_map(known)
     feed(filtering, snapshots[:5])
     short = filtering.known_map()
-    filtering.replace_map(replace(short, mixture=known.mixture))
+    filtering.replace_map(replace(short, posterior=known.posterior))
     filtering.reset()
-    assert filtering.state.best.mean[UE:].tobytes() == known.mixture.best.mean[UE:].tobytes()
+    assert (
+        filtering.state.density.mean[UE:].tobytes() == known.posterior.density.mean[UE:].tobytes()
+    )
     other = FilterSession(PARAMETERS)
     feed(other, snapshots[:5])
     other.replace_map(known)
     other.reset()
-    assert len(other.state.best.track_id) == 0
+    assert len(other.state.density.track_id) == 0
 
 
 def test_a_map_is_loaded_around_the_vehicle(snapshots: list[Snapshot]) -> None:
@@ -144,9 +148,9 @@ def test_a_map_is_loaded_around_the_vehicle(snapshots: list[Snapshot]) -> None:
     after = filtering.state
     np.testing.assert_array_equal(after.ue_mean, before.ue_mean)
     np.testing.assert_array_equal(after.ue_covariance, before.ue_covariance)
-    assert not after.best.covariance[:UE, UE:].any()
-    own = known.mixture.best.covariance[UE:, UE:]
-    np.testing.assert_array_equal(after.best.covariance[UE:, UE:], own)
+    assert not after.density.covariance[:UE, UE:].any()
+    own = known.posterior.density.covariance[UE:, UE:]
+    np.testing.assert_array_equal(after.density.covariance[UE:, UE:], own)
     with pytest.raises(CheckpointError, match="bs_position"):
         FilterSession(replace(PARAMETERS, bs_position=(1.0, 0.0, 40.0))).replace_map(known)
     assert feed(filtering, snapshots[5:10])[-1].landmarks.existence.max() > 0.9
@@ -159,10 +163,10 @@ def test_a_known_map_is_the_same_bytes_after_a_run(snapshots: list[Snapshot]) ->
     data = to_bytes(known)
     filtering = FilterSession(KNOWN)
     filtering.replace_map(through_a_file(known))
-    active = {len(o.state.best.track_id) for o in feed(filtering, snapshots)}
+    active = {len(o.state.density.track_id) for o in feed(filtering, snapshots)}
     assert len(active) > 1, "landmarks fell inactive and woke up meanwhile"
     assert to_bytes(filtering.known_map()) == data
-    assert set(filtering.state.best.all_track_ids) == set(known.mixture.best.all_track_ids)
+    assert set(filtering.state.landmark_ids) == set(known.posterior.landmark_ids)
 
 
 def test_a_known_map_outlives_a_restart(snapshots: list[Snapshot]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control, ControlSpan, span_rows
 from dopslam_ros.core.models.refusal import Refused
 from dopslam_ros.core.monitoring import recovery as recovery_module
-from dopslam_ros.core.pmb import FilterParameters, initial_filter_state, mixture_step, step
+from dopslam_ros.core.pmb import FilterParameters, Posterior, initial_posterior, prepare, step
 from dopslam_ros.core.session.filtering import FilterSession
 from dopslam_ros.core.session.output import FilterOutput
 from dopslam_ros.core.settings.layout import DIM, DOPPLER
@@ -56,12 +56,19 @@ def drive(
     return outputs
 
 
+def stepped(
+    state: Posterior, measurements: MeasurementSet, spans: Sequence[ControlSpan], speed: float
+) -> Posterior:
+    """The state after one step."""
+    return step(state, prepare(measurements, PARAMETERS), spans, speed, PARAMETERS)[0]
+
+
 def bytes_of(outputs: list[FilterOutput]) -> list[bytes]:
     return [
-        o.state.best.mean.tobytes()
-        + o.state.best.covariance.tobytes()
-        + o.state.best.existence.tobytes()
-        + o.state.best.track_id.tobytes()
+        o.state.density.mean.tobytes()
+        + o.state.density.covariance.tobytes()
+        + o.state.density.existence.tobytes()
+        + o.state.density.track_id.tobytes()
         + o.landmarks.positions.tobytes()
         for o in outputs
     ]
@@ -69,14 +76,14 @@ def bytes_of(outputs: list[FilterOutput]) -> list[bytes]:
 
 def test_the_session_is_the_steps_one_after_the_other(snapshots: list[Snapshot]) -> None:
     outputs = drive(snapshots, ["c", "m"] * 10)
-    state = initial_filter_state(PARAMETERS)
+    state = initial_posterior(PARAMETERS)
     previous = None
     for output, snapshot in zip(outputs, snapshots, strict=True):
         spans = [] if previous is None else [ControlSpan(previous, SCENARIO.period)]
-        state = step(state, snapshot.measurements, spans, snapshot.control.speed, PARAMETERS).state
+        state = stepped(state, snapshot.measurements, spans, snapshot.control.speed)
         previous = snapshot.control
         assert output.stamp_ns == snapshot.stamp_ns and output.control == snapshot.control
-        np.testing.assert_array_equal(output.state.best.mean, state.mean)
+        np.testing.assert_array_equal(output.state.density.mean, state.density.mean)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -96,7 +103,7 @@ def test_an_empty_set_is_processed_and_counted(snapshots: list[Snapshot]) -> Non
     assert list(filtering.add_control(10**9, 22.22, 0.3)) == []
     (first,) = filtering.add_measurements(10**9, empty)
     assert filtering.problems == {"empty_set": 1}
-    np.testing.assert_array_equal(first.state.best.mean, PARAMETERS.initial_state)
+    np.testing.assert_array_equal(first.state.density.mean, PARAMETERS.initial_state)
     list(filtering.add_control(2 * 10**9, 22.22, 0.3))
     (second,) = filtering.add_measurements(2 * 10**9, empty)
     assert np.hypot(*(second.state.ue_mean - first.state.ue_mean)[:2]) > 20.0
@@ -117,11 +124,9 @@ def test_a_missing_control_is_counted_and_the_set_used_without_doppler(
     values = first.measurements.values.copy()
     values[:, DOPPLER] = math.nan
     silent = MeasurementSet(values, first.measurements.covariances)
-    expected = step(initial_filter_state(PARAMETERS), silent, [], 0.0, PARAMETERS).state
-    np.testing.assert_array_equal(output.state.best.mean, expected.mean)
-    with_it = step(
-        initial_filter_state(PARAMETERS), first.measurements, [], 22.22, PARAMETERS
-    ).state
+    expected = stepped(initial_posterior(PARAMETERS), silent, [], 0.0)
+    np.testing.assert_array_equal(output.state.density.mean, expected.density.mean)
+    with_it = stepped(initial_posterior(PARAMETERS), first.measurements, [], 22.22)
     assert not np.array_equal(output.state.ue_mean, with_it.ue_mean)
 
 
@@ -133,7 +138,7 @@ def test_a_path_of_doppler_alone_is_left_out_at_an_unknown_speed() -> None:
     list(filtering.add_measurements(10**9, MeasurementSet(values, np.zeros((2, DIM, DIM)))))
     (output,) = filtering.flush()
     assert output.associations.ids.shape[1] == 1
-    assert np.isfinite(output.state.best.mean).all()
+    assert np.isfinite(output.state.density.mean).all()
 
 
 def test_a_run_played_again_begins_anew() -> None:
@@ -144,8 +149,10 @@ def test_a_run_played_again_begins_anew() -> None:
     rounds = feed_all(again, [*run, *run])
     assert len(rounds) == 2 * len(first) and again.problems == {"reset_backward_jump": 1}
     for ours, theirs in zip(rounds[len(first) :], first, strict=True):
-        np.testing.assert_array_equal(ours.state.best.mean, theirs.state.best.mean)
-        np.testing.assert_array_equal(ours.state.best.covariance, theirs.state.best.covariance)
+        np.testing.assert_array_equal(ours.state.density.mean, theirs.state.density.mean)
+        np.testing.assert_array_equal(
+            ours.state.density.covariance, theirs.state.density.covariance
+        )
 
 
 def feed_all(filtering: FilterSession, run: list[Snapshot]) -> list[FilterOutput]:
@@ -234,8 +241,8 @@ def broken(kind: str) -> Failure:
     def fails(*arguments: Any) -> Any:
         if kind == "raises":
             raise np.linalg.LinAlgError("not positive definite")
-        outcome = mixture_step(*arguments)
-        best = outcome.state.best
+        state, associations = step(*arguments)
+        best = state.density
         mean, covariance = best.mean.copy(), best.covariance.copy()
         if kind == "nan mean":
             mean[1] = math.nan
@@ -251,7 +258,7 @@ def broken(kind: str) -> Failure:
                 covariance[0, 0] * covariance[1, 1]
             )
         broken_one = best.but(mean=mean, covariance=covariance)
-        return replace(outcome, state=replace(outcome.state, hypotheses=(broken_one,)))
+        return replace(state, densities=(broken_one,)), associations
 
     return fails
 
@@ -280,7 +287,7 @@ def test_a_numerical_failure_keeps_the_last_good_state(
         assert len(list(feed(s))) == 1
     good = filtering.state
     with monkeypatch.context() as patch:
-        patch.setattr(recovery_module, "mixture_step", broken(kind))
+        patch.setattr(recovery_module, "step", broken(kind))
         assert list(feed(snapshots[3])) == []
         assert list(feed(snapshots[4])) == []
     assert filtering.state is good
@@ -288,14 +295,14 @@ def test_a_numerical_failure_keeps_the_last_good_state(
     # The next step makes up for all of the motion since.
     (output,) = feed(snapshots[5])
     spans = [ControlSpan(snapshots[k].control, SCENARIO.period) for k in (2, 3, 4)]
-    expected = step(good.best, snapshots[5].measurements, spans, 22.22, PARAMETERS).state
-    np.testing.assert_array_equal(output.state.best.mean, expected.mean)
+    expected = stepped(good, snapshots[5].measurements, spans, 22.22)
+    np.testing.assert_array_equal(output.state.density.mean, expected.density.mean)
     assert filtering.problems["numerical_failure"] == 2
     # And the one after that starts from there again.
     (output,) = feed(snapshots[6])
     span = [ControlSpan(snapshots[5].control, SCENARIO.period)]
-    after = step(expected, snapshots[6].measurements, span, 22.22, PARAMETERS).state
-    np.testing.assert_array_equal(output.state.best.mean, after.mean)
+    after = stepped(expected, snapshots[6].measurements, span, 22.22)
+    np.testing.assert_array_equal(output.state.density.mean, after.density.mean)
 
 
 def test_an_infinite_covariance_from_the_sensor_cannot_reach_the_state() -> None:
@@ -305,8 +312,8 @@ def test_an_infinite_covariance_from_the_sensor_cannot_reach_the_state() -> None
     list(filtering.add_control(10**9, 22.22, 0.3))
     for _ in filtering.add_measurements(10**9, MeasurementSet(values, huge)):
         pass
-    assert np.isfinite(filtering.state.best.mean).all()
-    assert np.isfinite(filtering.state.best.covariance).all()
+    assert np.isfinite(filtering.state.density.mean).all()
+    assert np.isfinite(filtering.state.density.covariance).all()
 
 
 @pytest.mark.parametrize("component", range(DIM))
@@ -339,7 +346,7 @@ def test_the_covariance_stays_one(settings: dict[str, Any]) -> None:
         list(filtering.add_control(s.stamp_ns, s.control.speed, s.control.turn_rate))
         for output in filtering.add_measurements(s.stamp_ns, s.measurements):
             steps += 1
-            for one in output.state.hypotheses:
+            for one in output.state.densities:
                 deviation = np.sqrt(np.diagonal(one.covariance))
                 correlation = one.covariance / np.outer(deviation, deviation)
                 assert np.array_equal(one.covariance, one.covariance.T)

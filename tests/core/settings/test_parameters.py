@@ -14,10 +14,10 @@ import yaml
 
 from dopslam_ros.core.pmb import FilterParameters
 from dopslam_ros.core.settings.bounding import BoundsParameters
+from dopslam_ros.core.settings.layout import VEHICLE, listed
 from dopslam_ros.core.settings.model import ModelParameters, OnlineParameters
 from dopslam_ros.core.settings.parameters import (
     ParameterError,
-    checked,
     commented_yaml,
     declarations,
     from_mapping,
@@ -82,8 +82,8 @@ def test_a_scenario_round_trips_too() -> None:
 
 @pytest.mark.parametrize("kind", CLASSES)
 def test_every_declaration_holds_its_own_default(kind: type[Any]) -> None:
-    assert checked(kind()) == kind()
     for declared in declarations(kind):
+        assert declared.check(declared.default) == declared.default, declared.name
         assert declared.text.strip().endswith("."), declared.name
         assert type(declared.check(declared.default)) is type(declared.default)
 
@@ -147,10 +147,19 @@ def test_unknown_names_suggest_the_nearest() -> None:
     assert unknown_name("thing", "b", ["a"]) == "unknown thing 'b': known: a"
 
 
-def test_checked_looks_at_every_value() -> None:
+def test_every_value_is_checked_and_converted() -> None:
     with pytest.raises(ParameterError, match="'count' = 77"):
-        checked(Sample(count=77))
-    assert checked(Sample(stds=[1, 2])).stds == (1.0, 2.0)  # type: ignore[arg-type]
+        from_mapping(Sample, {"count": 77})
+    assert from_mapping(Sample, {"stds": [1, 2]}).stds == (1.0, 2.0)
+
+
+def test_vehicle_parameters_have_a_number_for_each_component() -> None:
+    declared = {d.name: d for d in declarations(ModelParameters)}
+    for name in ("initial_state", "initial_std", "process_noise_std"):
+        assert declared[name].size == len(VEHICLE)
+        assert declared[name].unit == "m, m, rad, m"
+    text = "x, y [m], heading [rad], clock bias [m]"
+    assert text == listed(VEHICLE) and text in declared["initial_state"].text
 
 
 def test_shared_values_are_those_that_both_declare() -> None:

@@ -12,7 +12,7 @@ from scipy.stats import chi2, multivariate_normal, norm
 from dopslam_ros.core.linalg.arrays import FloatArray
 from dopslam_ros.core.models.measurements import MeasurementSet
 from dopslam_ros.core.models.motion import Control, ControlSpan
-from dopslam_ros.core.pmb import FilterParameters, initial_filter_state, step
+from dopslam_ros.core.pmb import FilterParameters, initial_posterior, prepare, step
 from dopslam_ros.core.settings.layout import DIM, DOPPLER, LandmarkType
 from dopslam_ros.core.settings.model import with_doppler_std
 from dopslam_ros.lab.baselines.phd import phd_landmarks, phd_step
@@ -107,7 +107,8 @@ def test_the_vehicle_moves_as_in_the_pmb_filter() -> None:
     parameters = FilterParameters()
     spans = [ControlSpan(Control(SPEED, TURN), 0.2), ControlSpan(Control(10.0, 0.0), 0.3)]
     ours = phd_step(initial_phd(parameters), EMPTY, spans, SPEED, parameters)
-    other = step(initial_filter_state(parameters), EMPTY, spans, SPEED, parameters).state
+    start, nothing = initial_posterior(parameters), prepare(EMPTY, parameters)
+    other = step(start, nothing, spans, SPEED, parameters)[0].density
     np.testing.assert_allclose(ours.ue_mean, other.ue_mean, rtol=1e-12)
     np.testing.assert_allclose(ours.ue_covariance, other.ue_covariance, rtol=1e-12)
     np.testing.assert_allclose(ours.undetected.viewpoints, other.undetected.viewpoints)
@@ -156,11 +157,12 @@ def test_an_ambiguous_bs_path_moves_the_vehicle_as_in_the_pmb_filter() -> None:
     state = initial_phd(parameters)
     sure = h(state.ue_mean, BS, 0)
     z = sure + np.array([[4.0, -0.4, 0.0, 0.1, 0.1, 0.0], [-6.0, -0.4, 0.1, 0.1, 0.1, 0.0]])
-    other = step(initial_filter_state(parameters), set_of(z), [], SPEED, parameters)
-    assert 0.05 < other.associations.weight[1] and other.state.ue_mean[2] < -2.5
+    start, observed = initial_posterior(parameters), prepare(set_of(z), parameters)
+    other, said = step(start, observed, [], SPEED, parameters)
+    assert 0.05 < said.weight[1] and other.ue_mean[2] < -2.5
     ours = phd_step(state, set_of(z), [], SPEED, parameters)
-    np.testing.assert_allclose(ours.ue_mean, other.state.ue_mean, atol=2e-3)
-    np.testing.assert_allclose(ours.ue_covariance, other.state.ue_covariance, atol=5e-3)
+    np.testing.assert_allclose(ours.ue_mean, other.ue_mean, atol=2e-3)
+    np.testing.assert_allclose(ours.ue_covariance, other.ue_covariance, atol=5e-3)
 
 
 def test_the_weights_follow_the_phd_recursion() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 import dopslam_ros
 from dopslam_ros.cli.main import main
-from dopslam_ros.core.pmb import initial_filter_state, reported_landmarks
+from dopslam_ros.core.pmb import initial_posterior, reported_landmarks
 from dopslam_ros.lab.bench import batch, pieces, scaling, steps, suite
 from dopslam_ros.lab.bench.records import (
     Figure,
@@ -71,14 +71,14 @@ def test_the_map_in_the_filter_is_the_one_given() -> None:
     scenario = scaling.street(10, 240, 1)
     parameters = filter_parameters_for(scenario)
     state = scaling.with_map(parameters, scenario.landmarks, scenario.landmark_types)
-    assert len(state.track_id) == 10 and len(state.inactive) == 240
+    assert len(state.density.track_id) == 10 and len(state.inactive[0]) == 240
     found = reported_landmarks(state, parameters)
     assert found.ids.tolist() == list(range(1, 251))
     np.testing.assert_allclose(found.positions, scenario.landmarks, atol=1e-6)
     vehicle = np.diag([*np.square(parameters.initial_std[:2]), 0.0])
     expected = scaling.KNOWN_STD**2 * np.eye(3) + vehicle
     np.testing.assert_allclose(found.covariances, np.tile(expected, (250, 1, 1)), atol=1e-6)
-    assert np.linalg.eigvalsh(state.covariance)[0] > 0.0
+    assert np.linalg.eigvalsh(state.density.covariance)[0] > 0.0
 
 
 def test_tasks_take_turns() -> None:
@@ -98,10 +98,10 @@ def test_inputs_are_those_of_the_filter() -> None:
     run = steps.inputs_of(scenario, 1)
     assert len(run) == 40 and run[0].spans == () and run[7].spans[0].duration == 0.5
     parameters = filter_parameters_for(scenario)
-    state = initial_filter_state(parameters)
+    state = initial_posterior(parameters)
     for inputs in run[:3]:
         state = steps.filter_step(parameters)(state, inputs)
-    assert state.undetected.looks == 3
+    assert state.density.undetected.looks == 3
 
 
 def test_without_a_checkout_the_textbook_is_said_to_be_absent(

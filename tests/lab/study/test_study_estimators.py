@@ -146,7 +146,7 @@ def test_a_filter_that_fails_says_so(short: Scenario, monkeypatch: pytest.Monkey
     estimator = make_estimator("joint", short, {})
     snapshots = list(simulate(short, np.random.default_rng(3)))
     estimator.step(snapshots[0])
-    monkeypatch.setattr("dopslam_ros.core.monitoring.recovery.mixture_step", fail)
+    monkeypatch.setattr("dopslam_ros.core.monitoring.recovery.step", fail)
     with pytest.raises(EstimatorError, match="step 1: numerical_failure"):
         estimator.step(snapshots[1])
 

@@ -99,7 +99,7 @@ def test_a_task_that_fails_is_told(short: Scenario) -> None:
         raise np.linalg.LinAlgError("singular matrix")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dopslam_ros.core.monitoring.recovery.mixture_step", fail)
+        patch.setattr("dopslam_ros.core.monitoring.recovery.step", fail)
         outcome = execute(plan, software(), task)
     assert outcome.task == task and outcome.part is None
     assert outcome.error.strip().endswith(
