@@ -33,9 +33,9 @@ TELL_RANGE = """
 import os
 import rclpy
 rclpy.init = lambda **options: print(os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"])
-from dopslam_ros.nodes import runtime
-runtime._spin = lambda create: 0
-runtime.run(None)
+from dopslam_ros.nodes import running
+running._spin = lambda create: 0
+running.run(None)
 """
 
 
