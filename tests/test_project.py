@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -110,7 +111,7 @@ def test_colcon_builds_both_packages(tmp_path: Path) -> None:
         if (ROOT / name).is_file():
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, tmp_path / name)
-    environment = f". {sys.prefix}/ros_env.sh"
+    environment = f". {shlex.quote(sys.prefix)}/ros_env.sh"
     built = _shell(f"{environment} && colcon build", tmp_path)
     assert built.returncode == 0, built.stdout + built.stderr
     prefix = tmp_path / "install" / "dopslam_ros"
